@@ -134,7 +134,7 @@ def whole_procedure(design: np.ndarray, torque: np.ndarray, log: Given) -> np.nd
 def given(stage: LogStage) -> Given:
     """The log of a stage with what is given to the loops."""
     n, rows = stage.design.n, stage.facts.rows
-    count = len(stage.experiment.slots)
+    count = len(stage.problem.slots)
     used, friction = np.zeros((rows, n), dtype=bool), np.zeros((rows, n, count - 4 * n))
     for block in stage.design:
         for c, channel in enumerate(block.channels):
@@ -169,8 +169,8 @@ def fitted(stage: LogStage) -> tuple[np.ndarray, int]:
     """The stage's parameters by its whole procedure, and how many rows were rejected."""
     kept = np.ones(len(stage.folds), dtype=bool)
     priors = description_priors(stage.folds)
-    prior = LogPrior(*prior_of(stage.experiment, priors), limits_of(stage.experiment))
-    result = fit_log(stage.design, kept, prior, start_of(stage.experiment, None, priors))
+    prior = LogPrior(*prior_of(stage.problem, priors), limits_of(stage.problem))
+    result = fit_log(stage.design, kept, prior, start_of(stage.problem, None, priors))
     return result.moments.at, len(result.outliers)
 
 

@@ -220,7 +220,7 @@ class Bench:
     def size(self, name: str, magnitude: float) -> float:
         """The rms that the start model leaves of an effect, in units of the noise."""
         clean, without = self._without
-        rows, truth = clean.experiment.rows, (without.truth, self.measured(name, magnitude).truth)
+        rows, truth = clean.problem.rows, (without.truth, self.measured(name, magnitude).truth)
         change = np.zeros_like(rows.measured)
         for table in np.unique(rows.table):
             mine = rows.table == table
@@ -252,9 +252,9 @@ class Bench:
 
 def left_of(estimate: Estimate, change: np.ndarray) -> np.ndarray:
     """What a fit leaves of a change ``(N, m)`` of its measurements, to first order."""
-    _, jacobian = estimate.experiment.residual(estimate.theta)
-    white = estimate.noise.whiten(estimate.experiment.rows, change, jacobian)
-    size = estimate.experiment.sizes()
+    _, jacobian = estimate.problem.residual(estimate.theta)
+    white = estimate.noise.whiten(estimate.problem.rows, change, jacobian)
+    size = estimate.problem.sizes()
     values, vectors = np.linalg.eigh(estimate.prior_precision * np.outer(size, size))
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     # By the rows themselves: in normal equations what geometry hardly tells, as of a scale, looks as if it were left.

@@ -195,7 +195,7 @@ def _as_fitted(
         if opened.session is None or any(held_out):
             return rows, residual, ~fitted
         estimate = opened.refit(stage).with_best_weights(seed).estimate
-        test, left = cross_validated(estimate, estimate.experiment.rows, seed)
+        test, left = cross_validated(estimate, estimate.problem.rows, seed)
         return test, left, np.ones(len(test), dtype=bool)
 
     out = {}

@@ -178,7 +178,7 @@ def _scores_of(
     estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int, granted: Sequence[Candidate], block: int
 ) -> CandidateScores:
     """The same with the noise that the estimate has."""
-    space = space_of(estimate, blocks_of_visits(estimate.experiment.rows, block)).beside(columns_of(estimate, granted))
+    space = space_of(estimate, blocks_of_visits(estimate.problem.rows, block)).beside(columns_of(estimate, granted))
     free = score(space, probes(estimate))
     free_null = flip_maxima(space, free, flips, seed + 1)
     free = [s.remembered for s in free]
@@ -189,10 +189,10 @@ def _scores_of(
     named = [s.remembered for s in named] + events
     local = scan(estimate, space, effects, flips, seed)
     named, named_null = named + local, named_null.joined(1, seed + 2) if local else named_null
-    robot = estimate.experiment.rows.robot
+    robot = estimate.problem.rows.robot
     named = [s if _plausible(s, effects, robot, space.scale) else replace(s, state="implausible") for s in named]
-    named = [replace(s, state="absent") if _without_weight(s, effects, estimate.experiment.rows) else s for s in named]
-    folds = stability_folds(estimate.experiment.rows)[estimate.whitened.entry]
+    named = [replace(s, state="absent") if _without_weight(s, effects, estimate.problem.rows) else s for s in named]
+    folds = stability_folds(estimate.problem.rows)[estimate.whitened.entry]
     return CandidateScores(space, named, free, named_null, free_null, _best(free, free_null), folds)
 
 

@@ -109,14 +109,14 @@ def held_out_p(before: Array, after: Array, unit: Integers, seed: int) -> float:
 
 def probe_held_out_fall(estimate: Estimate, verification: Rows, probe: Candidate, seed: int) -> Fall:
     """What a pose probe, fitted along in one linear step, brings on a verification table."""
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     both = join_rows([rows, verification])
-    joined = estimate.experiment.with_rows(both)
+    joined = estimate.problem.with_rows(both)
     sigma = estimate.noise.sigma
     noise = Noise(np.vstack([sigma, np.broadcast_to(np.median(sigma, axis=0), (len(verification), sigma.shape[1]))]))
     residual, jacobian = joined.residual(estimate.theta)
     white = noise.whiten(both, residual, jacobian)
-    stand_in = replace(estimate, experiment=joined, noise=noise, residual=residual, whitened=white)
+    stand_in = replace(estimate, problem=joined, noise=noise, residual=residual, whitened=white)
     found = next((p for p in probes(stand_in) if p.label == probe.label), None)
     if found is None:
         return Fall(1.0, 0.0)
@@ -159,7 +159,7 @@ def cross_fitted_fall(estimate: Estimate, s: Scored, seed: int) -> Fall:
     """
     white = estimate.whitened
     lever = estimate.prior_precision @ (estimate.prior_mean - estimate.theta)
-    columns, unit = s.candidate.columns.dense(len(white.residual)), estimate.experiment.rows.unit[white.entry]
+    columns, unit = s.candidate.columns.dense(len(white.residual)), estimate.problem.rows.unit[white.entry]
     whole = np.c_[white.jacobian, columns]
     precision = block_diag(estimate.prior_precision, _assumed(s.candidate))
     moment = whole.T @ white.residual + np.r_[lever, np.zeros(columns.shape[1])]
@@ -176,7 +176,7 @@ def event_p(estimate: Estimate, name: str, seed: int) -> float:
 
 def terms_p(estimate: Estimate, terms: Sequence[Term], seed: int) -> float:
     """The same of amplitudes that an estimate has for some terms, on the rows of its fit."""
-    shape = estimate.experiment.shapes()
+    shape = estimate.problem.shapes()
     wanted = {(t.effect, t.place) for t in terms}
     own = [k for k, slot in enumerate(estimate.slots) if (slot.effect, slot.place) in wanted and not shape[k]]
     return _own_p(estimate, own, seed) if own else 1.0
@@ -192,7 +192,7 @@ def _own_p(estimate: Estimate, numbers: Sequence[int], seed: int) -> float:
     residual = white.residual + J[:, first:] @ estimate.theta[own]  # as if it had not happened
     at = np.where(np.arange(count) < first, estimate.theta[order], 0.0)
     moment = J.T @ residual + precision @ (estimate.prior_mean[order] - at)
-    unit = estimate.experiment.rows.unit[white.entry]
+    unit = estimate.problem.rows.unit[white.entry]
     return _cross_fitted(J, residual, precision, moment, unit, first, seed).p
 
 

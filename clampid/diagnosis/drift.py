@@ -65,7 +65,7 @@ class Drift:
 
 def drift_of(estimate: Estimate) -> Drift | None:
     """The drift in what a pose fit leaves, or None where none can be seen."""
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     parts = [_means(rows, estimate.residual, s) for s in np.unique(rows.session)]
     parts = [p for p in parts if len(p) > 4 * LAGS]
     if not parts:

@@ -72,7 +72,7 @@ def _when(estimate: Estimate, effect: Effect) -> dict[str, Any]:
     at = estimate.values().get(Slot(effect.name, str(effect.event), effect.at))
     if effect.event is None or at is None:
         return {}
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     after = np.flatnonzero(rows.signals["sweep_progress"] > at)
     if not len(after):
         return {}
@@ -92,13 +92,13 @@ def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None
     wanted: dict[str, set[str]] = {}
     for slot in (*s.candidate.slots, *s.candidate.shapes):
         wanted.setdefault(slot.effect, set()).add(slot.place)
-    std, identified, fixed = estimate.std, estimate.identified, fixed_slots(estimate.slots, estimate.experiment.effects)
+    std, identified, fixed = estimate.std, estimate.identified, fixed_slots(estimate.slots, estimate.problem.effects)
     return [
         {
             "name": slot.label,
             "value": float(estimate.theta[k]),
             "std": None if fixed[k] else float(std[k]),
-            "unit": unit_of(slot, effects, estimate.experiment.rows.robot),
+            "unit": unit_of(slot, effects, estimate.problem.rows.robot),
             "identified": bool(identified[k]),
         }
         for k, slot in enumerate(estimate.slots)

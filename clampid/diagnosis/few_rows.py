@@ -35,7 +35,7 @@ def estimates_share(estimate: Estimate, verified: bool) -> float:
     verified
         Whether a table of its own verifies the fit, for which nothing is left out.
     """
-    if verified or not estimate.experiment.kind.points:
+    if verified or not estimate.problem.kind.points:
         return 1.0
     found = _factor(estimate)
     return found if found >= NOTABLE else 1.0
@@ -50,7 +50,7 @@ def refuse_unjudged(fitted: FittedStage, verified: bool) -> None:
         Too few numbers were measured.
     """
     estimate = fitted.estimate
-    if verified or not estimate.experiment.kind.points or np.isfinite(_factor(estimate)):
+    if verified or not estimate.problem.kind.points or np.isfinite(_factor(estimate)):
         return
     numbers, determined = freedom_of(estimate)
     raise FitError(

@@ -92,13 +92,13 @@ def held_out(
     """
     count = len(estimate.slots)
     if verification is not None:
-        residual = predicted(estimate.experiment.with_rows(verification), estimate.theta[:count])
-        rows = without_outlying(verification, residual, estimate.experiment.rows, estimate.residual)
+        residual = predicted(estimate.problem.with_rows(verification), estimate.theta[:count])
+        rows = without_outlying(verification, residual, estimate.problem.rows, estimate.residual)
     elif folds is not None:
-        rows, residual = cross_validated(estimate, folds.of(estimate.experiment.rows), seed)
+        rows, residual = cross_validated(estimate, folds.of(estimate.problem.rows), seed)
         rows = folds.judging(rows)
     else:
-        rows, residual = cross_validated(estimate, estimate.experiment.rows, seed)
+        rows, residual = cross_validated(estimate, estimate.problem.rows, seed)
     return HeldOut(rms_of(rows, residual, floor), rows, residual, floor, estimate.noise, block)
 
 

@@ -22,16 +22,16 @@ def linear_refit(estimate: Estimate, s: Scored) -> Estimate | None:
     Noise and covariance stay those of the fit without it: it is there to predict, not to be reported.
     """
     c, white = s.candidate, estimate.whitened
-    if estimate.experiment.effects[c.name].event is not None or set(c.slots) & set(estimate.slots):
+    if estimate.problem.effects[c.name].event is not None or set(c.slots) & set(estimate.slots):
         return None
     shapes = {slot: value for slot, value in c.shapes.items() if slot not in estimate.slots}
-    experiment = estimate.experiment.with_slots((*estimate.slots, *c.slots, *shapes))
+    problem = estimate.problem.with_slots((*estimate.slots, *c.slots, *shapes))
     count, new, whole = len(estimate.slots), len(c.slots), len(estimate.slots) + len(c.slots) + len(shapes)
     old = np.r_[np.arange(count), np.arange(whole, whole + len(estimate.theta) - count)]
     theta, mean = np.zeros(len(old) + whole - count), np.zeros(len(old) + whole - count)
     theta[old], mean[old] = estimate.theta, estimate.prior_mean
     theta[count:whole] = mean[count:whole] = [*np.zeros(new), *shapes.values()]
-    precision = np.diag(1.0 / experiment.prior_std() ** 2)
+    precision = np.diag(1.0 / problem.prior_std() ** 2)
     if c.prior is not None:
         precision[range(count, count + new), range(count, count + new)] = 1.0 / c.prior**2
     precision[np.ix_(old, old)] = estimate.prior_precision
@@ -45,13 +45,13 @@ def linear_refit(estimate: Estimate, s: Scored) -> Estimate | None:
     moment[old] += cross[:, -1]
     moment[at] += D.T @ white.residual
     free = np.ones(len(theta), dtype=bool)
-    free[old] = ~limits_of(estimate.experiment).resting(estimate.theta)
-    step = newton_step(normal + precision, moment, experiment.sizes(), 0.0, free)
+    free[old] = ~limits_of(estimate.problem).resting(estimate.theta)
+    step = newton_step(normal + precision, moment, problem.sizes(), 0.0, free)
     left = white.residual - white.jacobian @ step[old] - D @ step[at]
     joined = _Joined(white, D, normal, old, at)
     return replace(
         estimate,
-        experiment=experiment,
+        problem=problem,
         theta=theta + step,
         whitened=Whitened(left, joined, white.entry, white.channel),
         prior_precision=precision,
@@ -122,7 +122,7 @@ def step_towards(estimate: Estimate, s: Scored) -> Step | None:
     near = linear_refit(estimate, s)
     if near is None:
         return None
-    trial = near.experiment.with_flanks(near.theta)
+    trial = near.problem.with_flanks(near.theta)
     residual = trial.error(limits_of(trial).clipped(near.theta))
     if not np.all(np.isfinite(residual)):
         return Step(near, 0.0, -np.inf)

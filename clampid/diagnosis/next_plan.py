@@ -129,13 +129,13 @@ def showing_plan(
 def _states(estimate: Estimate, candidates: Sequence[Candidate]) -> tuple[str, ...]:
     """``warm`` alone where neither fit nor candidates know of any warmth."""
     names = {slot.effect for slot in estimate.slots} | {c.name for c in candidates}
-    needs = {signal for name in names for signal in estimate.experiment.effects[name].needs}
-    return STATES if needs & WARMTH or estimate.experiment.kind.points else STATES[:1]
+    needs = {signal for name in names for signal in estimate.problem.effects[name].needs}
+    return STATES if needs & WARMTH or estimate.problem.kind.points else STATES[:1]
 
 
 def _pool_of(campaign: Campaign, estimate: Estimate, seed: int) -> PoolOf:
     # Each brings collision checking along, which few need.
-    stage: Stage = estimate.experiment.stage
+    stage: Stage = estimate.problem.stage
     if kind_of(stage).points:
         if "poses" not in campaign.tables:
             raise PlanError("poses are planned for an instrument that measures points, and these rows are distances")
@@ -186,7 +186,7 @@ def weak_ones(
         if freedom not in factor:
             factor[freedom] = noncentrality(freedom, scores.named_null)
         for k, slot in enumerate(c.slots):
-            parameter = parameter_of(slot, effects, estimate.experiment.rows.robot)
+            parameter = parameter_of(slot, effects, estimate.problem.rows.robot)
             limit = float(s.unit_limit[k] * np.sqrt(factor[freedom]))
             found = np.isfinite(limit) and limit <= parameter.size and s.state != "absorbed"
             if slot in out or (found and not wanted):

@@ -89,13 +89,13 @@ def _imagined_columns(
     campaign: Campaign, estimate: Estimate, wanted: Sequence[Candidate], q: Array, direction: Array, state: str
 ) -> tuple[Array, list[Array]]:
     """Whitened columns ``(K, r, P)`` and ``(K, r, k)`` each of K poses of all targets that have not been measured."""
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     pool = _imagined_rows(campaign, estimate, q, direction, state)
     slots: dict[Slot, float] = {}
     for c in wanted:
         slots |= dict.fromkeys(c.slots, 0.0) | dict(c.shapes)
     own = len(estimate.slots)
-    trial = estimate.experiment.with_rows(pool).with_slots((*estimate.slots, *slots))
+    trial = estimate.problem.with_rows(pool).with_slots((*estimate.slots, *slots))
     _, jacobian = trial.residual(np.r_[estimate.theta[:own], list(slots.values())])
     sigma = estimate.noise.sigma[rows.used.any(axis=1) & ~rows.ranged, : jacobian.shape[1]]
     jacobian = jacobian / np.median(sigma, axis=0)[:, None]
@@ -106,7 +106,7 @@ def _imagined_columns(
 
 def _imagined_rows(campaign: Campaign, estimate: Estimate, q: Array, direction: Array, state: str) -> Rows:
     """Rows of poses that have not been measured, pose by pose all targets, where the model expects the points."""
-    rows, frame = estimate.experiment.rows, campaign.tables["poses"].sort_values("time_s")
+    rows, frame = estimate.problem.rows, campaign.tables["poses"].sort_values("time_s")
     targets = list(dict.fromkeys(str(t) for t in frame["target"]))
     like = frame.iloc[[-1 if state == "warm" else 0]]
     table = pd.concat([like] * (len(q) * len(targets)), ignore_index=True)
@@ -121,7 +121,7 @@ def _imagined_rows(campaign: Campaign, estimate: Estimate, q: Array, direction: 
     base = {int(s): rows.pose.base_reference[np.flatnonzero(rows.session == s)[0]] for s in rows.session[:1]}
     made = pose_rows([imagined], rows.layout, "verification", base)
     # What depends on the measured point takes the predicted one.
-    residual, _ = estimate.experiment.with_rows(made).residual(estimate.theta)
+    residual, _ = estimate.problem.with_rows(made).residual(estimate.theta)
     points = made.measured[:, :3] - residual[:, :3]
     return replace(made, signals={**made.signals, "position": points})
 

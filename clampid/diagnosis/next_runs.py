@@ -113,7 +113,7 @@ def runs_to_choose(
 
 def _fastest(estimate: Estimate, limits: Limits) -> float:
     """The share of its top speed at which the fastest joint of the log moves, two digits, rounded down."""
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     share = float(np.max(np.abs(rows.signals["joint_speed"]) / limits.speed, initial=SHARES[0]))
     return min(max(float(np.floor(100.0 * share)) / 100.0, SHARES[0]), 1.0)
 
@@ -186,14 +186,14 @@ def _imagined_rows(
     fastest: float,
 ) -> Rows:  # fmt: skip
     """Rows of logs that nobody has taken."""
-    own = estimate.experiment.rows
+    own = estimate.problem.rows
     table = planned_log(courses, rate)
     like = campaign.tables["free_air" if "free_air" in campaign.tables else "wrist"]
     at = -1 if state == "warm" else 0
     for name in like.columns:
         if name.startswith("temp_"):
             table[name] = like[name].iloc[at]
-    effects: dict[str, Effect] = dict(estimate.experiment.effects)
+    effects: dict[str, Effect] = dict(estimate.problem.effects)
     terms = [Term(slot.effect, slot.place) for slot in estimate.slots]
     rows = torque_rows(
         [replace(campaign, tables=MappingProxyType({"free_air": table}))],
@@ -210,7 +210,7 @@ def _imagined_rows(
 
 def _neighbouring(estimate: Estimate) -> TorqueNoise:
     """The log's noise, as far as neighbouring rows share it."""
-    noise, used = estimate.noise, estimate.experiment.rows.used
+    noise, used = estimate.noise, estimate.problem.rows.used
     sigma = np.array([np.median(noise.sigma[used[:, c], c]) if used[:, c].any() else 1.0 for c in range(used.shape[1])])
     lag = [a[1] / a[0] for a in noise.autocorrelations if len(a) > 1 and a[0] > 0]
     shared = float(np.clip(np.median(lag), 0.0, 0.99)) if lag else 0.0

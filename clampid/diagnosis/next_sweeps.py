@@ -102,7 +102,7 @@ def sweeps_to_choose(
 def _stiffness(estimate: Estimate, described: Array) -> Array:
     """Springs at the motors ``(n,)``, Nm/rad: as found where they were, else as described."""
     out = described.copy()
-    for k in estimate.experiment.numbers_of("compliance"):
+    for k in estimate.problem.numbers_of("compliance"):
         if estimate.theta[k] > 0.0:
             out[int(estimate.slots[k].place.removeprefix("joint")) - 1] = 1.0 / estimate.theta[k]
     return out
@@ -111,7 +111,7 @@ def _stiffness(estimate: Estimate, described: Array) -> Array:
 def _places(estimate: Estimate, cell: Cell, limits: Limits, seed: int) -> Array:
     """Postures ``(k, n)``, rad: those in which the flange has been clamped, and others clear of the floor."""
     known: list[Array] = []
-    for q in estimate.experiment.rows.sweep.reference:
+    for q in estimate.problem.rows.sweep.reference:
         inside = np.all((q >= limits.lower) & (q <= limits.upper))
         if inside and all(np.max(np.abs(q - other)) > ALIKE for other in known):
             known.append(np.round(q, 6))
@@ -137,7 +137,7 @@ def _imagined_rows(
     campaign: Campaign, estimate: Estimate, cell: Cell, sweeps: Sequence[Sweep], press: Press, state: str
 ) -> Rows:
     """Rows of sweeps that nobody has taken, with the torques of springs alone."""
-    robot, own = cell.robot, estimate.experiment.rows
+    robot, own = cell.robot, estimate.problem.rows
     T, n = np.asarray(robot.transmission), robot.n
     measured = campaign.tables["clamped"]
     parts = []
@@ -172,7 +172,7 @@ def _standing(
     slots = dict.fromkeys(estimate.slots)
     for c in candidates:
         slots |= dict.fromkeys([*c.slots, *c.shapes])
-    chain = estimate.experiment.with_rows(rows).with_slots(tuple(slots)).chain
+    chain = estimate.problem.with_rows(rows).with_slots(tuple(slots)).chain
     run = rows.series.run
     load = np.array([_load(cell, sweeps[s].posture) for s in run])
     at, _ = standing_angles(rows, chain, theta, load)

@@ -72,7 +72,7 @@ class Seen:
 
 def seen_of(estimate: Estimate, candidates: Sequence[Candidate]) -> Seen:
     """What the rows of a fit say."""
-    white, count, size = estimate.whitened, len(estimate.slots), estimate.experiment.sizes()
+    white, count, size = estimate.whitened, len(estimate.slots), estimate.problem.sizes()
     values, vectors = np.linalg.eigh(estimate.prior_precision * np.outer(size, size))
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).T / size
     columns = [c.columns.dense(len(white.residual)) for c in candidates]
@@ -140,13 +140,13 @@ def columns_seen_by(
     slots: dict[Slot, float] = {}
     for c in candidates:
         slots |= dict.fromkeys(c.slots, 0.0) | dict(c.shapes)
-    trial = estimate.experiment.with_rows(rows).with_slots((*estimate.slots, *slots))
+    trial = estimate.problem.with_rows(rows).with_slots((*estimate.slots, *slots))
     theta = np.r_[estimate.theta[:own], list(slots.values())]
     constants = np.zeros(rows.offsets) if offsets is None else offsets(theta)
     _, jacobian = trial.residual(np.r_[theta, constants])
     index = {slot: own + k for k, slot in enumerate(slots)}
     wanted = [*range(own), *(index[slot] for c in candidates for slot in c.slots)]
-    past, known = estimate.noise, estimate.experiment.rows.used
+    past, known = estimate.noise, estimate.problem.rows.used
     channels = range(known.shape[1])
     sigma = np.array([np.median(past.sigma[known[:, c], c]) if known[:, c].any() else np.inf for c in channels])
     noise = replace(past, sigma=np.tile(sigma, (len(rows), 1)))

@@ -33,7 +33,7 @@ PERIODIC_SIZE = 3e-4  # rad, rms: the upper end of what joints' transmissions an
 
 def probes(estimate: Estimate) -> list[Candidate]:
     """All probes of the estimate's stage."""
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     if rows.kind.points:
         return _pose_probes(estimate)
     if rows.kind.moving:
@@ -45,7 +45,7 @@ def _probe(estimate: Estimate, place: str, what: str, variables: Sequence[str], 
     """A probe from its columns ``(N, m, k)``, SI per unit of covariate."""
     if not np.any(columns):
         return None
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     white = estimate.noise.whiten(rows, np.zeros(columns.shape[:2]), columns)
     kept = columns_from(white, list(range(columns.shape[2])))
     return Candidate(f"{what} at {place}", "probe", (), (), {}, kept, tuple(variables), (place,))
@@ -64,13 +64,13 @@ def _scaled(x: Array) -> Array:
 
 
 def _pose_probes(estimate: Estimate) -> list[Candidate]:
-    experiment = estimate.experiment
-    rows, n = experiment.rows, experiment.rows.robot.n
-    theta = estimate.theta[: len(experiment.slots)]
-    deviations = poses.evaluate(rows, experiment.chain, theta)
+    problem = estimate.problem
+    rows, n = problem.rows, problem.rows.robot.n
+    theta = estimate.theta[: len(problem.slots)]
+    deviations = poses.evaluate(rows, problem.chain, theta)
     _, sensitivity = poses.by_station(rows, deviations)
     width = rows.measured.shape[1]
-    offsets = experiment.chain.offsets
+    offsets = problem.chain.offsets
     s = rows.signals
     elapsed = _scaled(s["elapsed"])
     slow = np.column_stack([elapsed, elapsed**2])
@@ -147,7 +147,7 @@ def _by_other_joints(rows: Rows) -> list[Covariate]:
 
 def _levers(estimate: Estimate, unit: Array) -> Levers:
     """What a unit at each of some places ``(N, m, k)`` does to the measurement, whitened."""
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     white = estimate.noise.whiten(rows, np.zeros(unit.shape[:2]), unit)
     return Levers(white.jacobian, white.entry, len(rows))
 
@@ -308,7 +308,7 @@ def _sweep_covariates(rows: Rows) -> list[list[Covariate]]:
 
 def _motor_probes(estimate: Estimate, covariates: Sequence[Sequence[Covariate]]) -> list[Candidate]:
     """Probes of torques: each motor's error against its covariates."""
-    rows, white = estimate.experiment.rows, estimate.whitened
+    rows, white = estimate.problem.rows, estimate.whitened
     found = []
     for start, stop in channel_starts(white):
         i = int(white.channel[start])

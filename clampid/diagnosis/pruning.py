@@ -77,11 +77,11 @@ def behind(fits: Sequence[tuple[Estimate, Sequence[Term]]], noise: Noise) -> Arr
     That is what they leave, in units of one noise, what the numbers of the terms in which they differ must bring, and
     what these are off where a prior says what they amount to: twice the log of the odds.
     """
-    found, rows = [], fits[0][0].experiment.rows  # those that one of them counts, for all
+    found, rows = [], fits[0][0].problem.rows  # those that one of them counts, for all
     for estimate, terms in fits:
         index = [k for term in terms for k in _of(estimate, term)]
-        prior = estimate.experiment.prior_std()[index]
-        assumed = prior <= estimate.experiment.sizes()[index]
+        prior = estimate.problem.prior_std()[index]
+        assumed = prior <= estimate.problem.sizes()[index]
         off = np.where(assumed, estimate.theta[index] / prior, 0.0)
         found.append(_squares(estimate, rows, noise) + sum(_costs(estimate, terms).values()) + float(off @ off))
     return np.array(found) - min(found)
@@ -89,7 +89,7 @@ def behind(fits: Sequence[tuple[Estimate, Sequence[Term]]], noise: Noise) -> Arr
 
 def _wald(estimate: Estimate, own: Sequence[int]) -> float:
     """Wald's statistic of some parameters: how far amplitudes are from none, in units of twice the log-likelihood."""
-    effects, robot = estimate.experiment.effects, estimate.experiment.rows.robot
+    effects, robot = estimate.problem.effects, estimate.problem.rows.robot
     index = [k for k in own if not parameter_of(estimate.slots[k], effects, robot).shape]
     theta, covariance = estimate.theta[index], estimate.covariance[np.ix_(index, index)]
     return float(theta @ np.linalg.pinv(covariance, hermitian=True) @ theta)
@@ -101,8 +101,8 @@ def _of(estimate: Estimate, term: Term) -> list[int]:
 
 def _impossible(estimate: Estimate, term: Term) -> bool:
     """Whether all amplitudes of a term that a fit has lie beyond their bounds."""
-    own, (lower, upper) = _of(estimate, term), estimate.experiment.bounds()
-    index = [k for k in own if not estimate.experiment.shapes()[k]]
+    own, (lower, upper) = _of(estimate, term), estimate.problem.bounds()
+    index = [k for k in own if not estimate.problem.shapes()[k]]
     theta = estimate.theta[index]
     return bool(index) and bool(np.all((theta < lower[index]) | (theta > upper[index])))
 
@@ -110,7 +110,7 @@ def _impossible(estimate: Estimate, term: Term) -> bool:
 def _costs(estimate: Estimate, terms: Sequence[Term]) -> dict[Term, float]:
     """What the parameters of each term that a fit has must bring, in units of twice the log-likelihood."""
     rows = max(len(estimate.whitened.residual), 2)
-    assumed = estimate.experiment.prior_std() <= estimate.experiment.sizes()
+    assumed = estimate.problem.prior_std() <= estimate.problem.sizes()
     out = {}
     for term in terms:
         index = _of(estimate, term)
@@ -118,14 +118,14 @@ def _costs(estimate: Estimate, terms: Sequence[Term]) -> dict[Term, float]:
             continue
         out[term] = len(index) * float(np.log(rows))
         if assumed[index].all():  # what the rows narrowed the prior by
-            prior, covariance = estimate.experiment.prior_std()[index], estimate.covariance[np.ix_(index, index)]
+            prior, covariance = estimate.problem.prior_std()[index], estimate.covariance[np.ix_(index, index)]
             out[term] = -float(np.linalg.slogdet(covariance / np.outer(prior, prior))[1])
     return out
 
 
 def _loss(fewer: Estimate, full: Estimate) -> float:
     """By how much the squares of a fit with fewer parameters are larger, in units of the full one's noise."""
-    return _squares(fewer, full.experiment.rows, full.noise) - full.point.cost
+    return _squares(fewer, full.problem.rows, full.noise) - full.point.cost
 
 
 def _squares(estimate: Estimate, rows: Rows, noise: Noise) -> float:

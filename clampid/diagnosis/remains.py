@@ -92,7 +92,7 @@ def remains_of(
     fall = _fall(scores.probe, estimate, verification, seed)
     if fall.p > HELD_OUT_RATE:
         return None
-    where, poses = scores.probe.candidate.places, estimate.experiment.kind.points
+    where, poses = scores.probe.candidate.places, estimate.problem.kind.points
 
     def size_of(share: float) -> float:
         return float(np.sqrt(max(share, 0.0) * _per_motor(held.rows, where))) * held.rms

@@ -60,7 +60,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     search goes on: what it leaves would else hide other effects. Of poses it takes none: what is one model on these
     places the flange differently at others.
     """
-    rows, effects = fitted.estimate.experiment.rows, bench.effects
+    rows, effects = fitted.estimate.problem.rows, bench.effects
     scores = bench.scores(fitted, 0)
     if bench.folds is None and (finer := folds_of(rows, _on_trial(scores), effects)) is not None:
         return finer

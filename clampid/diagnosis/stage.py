@@ -60,7 +60,7 @@ def diagnose_stage(fitted: FittedStage, bench: Bench, propose: Propose | None = 
         Looks for measurements that separate candidates, given the fit, the candidates and the residual's scale.
     """
     judged_by, outcome = _searched(fitted, bench)
-    drift = drift_of(outcome.fitted.estimate) if fitted.estimate.experiment.kind.points else None
+    drift = drift_of(outcome.fitted.estimate) if fitted.estimate.problem.kind.points else None
     if drift is not None and drift.block > 1:  # once more, now that it is known how long what is left goes on
         del outcome  # as large as its rows
         judged_by, outcome = _searched(fitted, replace(bench, block=drift.block))
@@ -93,7 +93,7 @@ def _searched(fitted: FittedStage, bench: Bench) -> tuple[Bench, Searched]:
 
 def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Propose | None) -> StageDiagnosis:
     """The verdict on what was searched, with its evidence."""
-    stage, effects, floor = fitted.estimate.experiment.stage, bench.effects, bench.floor
+    stage, effects, floor = fitted.estimate.problem.stage, bench.effects, bench.floor
     verification, seed = bench.verification, bench.seed
     result = StageDiagnosis(stage, kind_of(stage).error_unit)
     result.folds, first, fitted = bench.folds, fitted.estimate, outcome.fitted
@@ -108,7 +108,7 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     for one, step in zip(reversed(outcome.taken), reversed(result.alike), strict=True):
         result.in_order.insert(one.after, step)
     # Of what is not in the model now: before a large effect was added, its residual hid much of what shows without it.
-    result.testability = testability_of(scores.named, scores.named_null, effects, first.experiment.rows.robot)
+    result.testability = testability_of(scores.named, scores.named_null, effects, first.problem.rows.robot)
     result.considered = [*refused, *considered_of(scores.named, scores.named_null)]
     tested = None if verification is None else held.rows
     result.outliers = _rejected(fitted.estimate, verification, held)
@@ -122,9 +122,9 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     if result.verdict == "adequate":
         result.depends_on = []  # what fired brought nothing on rows that no fit has seen
     result.candidates = merged(result.candidates)
-    result.agreeing, result.rows = agreeing_rows(fitted.estimate), len(first.experiment.rows)
+    result.agreeing, result.rows = agreeing_rows(fitted.estimate), len(first.problem.rows)
     result.omission, result.fitted, result.scores = omission_of(first, fitted.estimate), fitted, scores
-    _in_words(result, scores, floor.source, first.experiment.rows, effects, few)
+    _in_words(result, scores, floor.source, first.problem.rows, effects, few)
     return result
 
 

@@ -77,7 +77,7 @@ def shape_of(
     names = [v.name for v in found.variables]
     name = fitted.module.EFFECT.name
     command = f"clampid effect new {name} --depends-on {','.join(names)} --at {found.place.name}"
-    joints = estimate.experiment.rows.robot.n
+    joints = estimate.problem.rows.robot.n
     command += f" --joints {joints}" if joints > JOINTS else ""
     return {
         "name": name,
@@ -87,7 +87,7 @@ def shape_of(
         "explained": fitted.scored.explained,
         "share": float(np.sum(fitted.scored.amplitude**2) / max(float(space.residual @ space.residual), 1e-300)),
         "band": "95 %, simultaneous",
-        "curves": list(_curves(estimate.experiment.rows, found, fitted, seed)),
+        "curves": list(_curves(estimate.problem.rows, found, fitted, seed)),
         "command": f"{command} --stage {found.stage} --orders {fitted.orders}",
     }
 
@@ -99,14 +99,14 @@ def _dependence(estimate: Estimate, probe: Scored, depends_on: Sequence[str]) ->
         return None
     names = list(dict.fromkeys([*own, *depends_on]))[: max(MOST_VARIABLES, 1)]
     try:
-        return dependence(names, probe.candidate.places[0], estimate.experiment.stage)
+        return dependence(names, probe.candidate.places[0], estimate.problem.stage)
     except EffectError:
         return None
 
 
 def _fit(estimate: Estimate, space: Space, found: Dependence) -> _Fitted | None:
     """Fit the finest shape's terms at once, and keep the orders whose score-BIC is best."""
-    known = estimate.experiment.effects
+    known = estimate.problem.effects
     name = next(n for k in range(1, 100) if (n := f"unknown_{found.place.name}{f'_{k}' if k > 1 else ''}") not in known)
     names = [v.name for v in found.variables]
 
@@ -116,7 +116,7 @@ def _fit(estimate: Estimate, space: Space, found: Dependence) -> _Fitted | None:
     graded = any(v.basis not in ("sign", "sliding") for v in found.variables)
     modules = {k: module_of(k) for k in range(1, (FINEST[len(names) - 1] if graded else 1) + 1)}
     effect = modules[max(modules)].EFFECT
-    trial = replace(estimate, experiment=replace(estimate.experiment, effects={**known, name: effect}))
+    trial = replace(estimate, problem=replace(estimate.problem, effects={**known, name: effect}))
     whole = next(iter(named_candidates(trial, {name: effect})), None)
     if whole is None:
         return None

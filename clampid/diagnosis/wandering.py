@@ -49,7 +49,7 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None
     beside
         What stands out of the residual and may say it all, the clearest first.
     """
-    rows, white = estimate.experiment.rows, estimate.whitened
+    rows, white = estimate.problem.rows, estimate.whitened
     if rows.kind.solved or not len(white.residual):
         return None
     wanted = POSE_CHANNELS[0] if rows.kind.points else range(rows.measured.shape[1])
@@ -82,7 +82,7 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None
         return None
     each = (found.variance if c in mine else 0.0 for c in range(rows.measured.shape[1]))
     noise = replace(estimate.noise, wander=tuple(each))
-    residual, jacobian = estimate.experiment.residual(estimate.theta)
+    residual, jacobian = estimate.problem.residual(estimate.theta)
     return replace(estimate, noise=noise, whitened=noise.whiten(rows, residual, jacobian))
 
 

@@ -23,7 +23,7 @@ FEW_OUTLIERS = 3  # each table of a clean campaign has one with a chance of 1 %,
 
 def outliers_of(estimate: Estimate) -> list[dict[str, Any]]:
     """The rows that the fit has rejected, and the size of their residual: m of a point, Nm over all motors."""
-    return listed_outliers(estimate.experiment.rows, estimate.residual, estimate.outliers)
+    return listed_outliers(estimate.problem.rows, estimate.residual, estimate.outliers)
 
 
 def listed_outliers(rows: Rows, residual: Array, bad: Bools) -> list[dict[str, Any]]:
@@ -53,7 +53,7 @@ def omission_of(before: Estimate, after: Estimate) -> list[dict[str, Any]]:
                     "name": slot.label,
                     "shift": shift,
                     "std": spread,
-                    "unit": unit_of(slot, before.experiment.effects, before.experiment.rows.robot),
+                    "unit": unit_of(slot, before.problem.effects, before.problem.rows.robot),
                 }
             )
     return sorted(out, key=lambda o: -abs(float(o["shift"])) / float(o["std"]))[:10]

@@ -107,7 +107,7 @@ def simpler(estimate: Estimate) -> list[dict[str, Any]]:
     Each with its joints, their senses and phases (rad), the deviation (rad), the natural logarithm of the odds, and a
     sentence.
     """
-    effects, active = estimate.experiment.effects, {slot.effect for slot in estimate.slots}
+    effects, active = estimate.problem.effects, {slot.effect for slot in estimate.slots}
     out = []
     for effect in effects.values():
         if effect.aligns not in active or effect.name in active:

@@ -108,10 +108,10 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
     What refines another effect is looked for where that is: a spring that hardens where there is a spring.
     """
     active = {(s.effect, s.place) for s in estimate.slots}
-    layout = estimate.experiment.rows.layout
+    layout = estimate.problem.rows.layout
     out = []
     for effect in effects.values():
-        if not estimate.experiment.kind.has(effect) or effect.aligns is not None:
+        if not estimate.problem.kind.has(effect) or effect.aligns is not None:
             continue
         if effect.event is not None or effect.scanned is not None:
             continue
@@ -126,7 +126,7 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
         refined = {place for name, place in active if name == effect.search.refines and place.startswith(effect.per)}
         out += [
             Term(effect.name, p)
-            for p in layout.allowed(effect, estimate.experiment.stage)
+            for p in layout.allowed(effect, estimate.problem.stage)
             if (effect.name, p) not in active and (not refined or p in refined) and _sought(estimate, effect, p)
         ]
     return out
@@ -134,13 +134,13 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
 
 def _temperatures_vary(estimate: Estimate, effect: Effect) -> bool:
     """Whether every temperature that an effect needs varies: at one that never does it is another effect's constant."""
-    signals = estimate.experiment.rows.signals
+    signals = estimate.problem.rows.signals
     return all(np.any(np.ptp(signals[name], axis=0) > 0.0) for name in effect.needs if reads_temperatures(name))
 
 
 def _sought(estimate: Estimate, effect: Effect, place: str) -> bool:
     """Whether an effect is looked for at a joint or link: of its kind, and without a signal that shows it better."""
-    joint = estimate.experiment.rows.robot.joints[int(place.removeprefix(effect.per)) - 1]
+    joint = estimate.problem.rows.robot.joints[int(place.removeprefix(effect.per)) - 1]
     return effect.search.joint_kind in (None, joint.kind) and not _recorded(estimate, effect, place)
 
 
@@ -149,7 +149,7 @@ def _recorded(estimate: Estimate, effect: Effect, place: str) -> bool:
     if effect.search.superseded_by is None:
         return False
     number = int(place.removeprefix(effect.per)) - 1
-    return bool(np.ptp(estimate.experiment.rows.signals[effect.search.superseded_by][:, number]) > 0.0)
+    return bool(np.ptp(estimate.problem.rows.signals[effect.search.superseded_by][:, number]) > 0.0)
 
 
 def named_candidates(
@@ -164,7 +164,7 @@ def named_candidates(
     fired
         Names of the probes that fired; effects that others reveal are left out. None: nothing is left out.
     """
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     terms = terms_not_active(estimate, effects)
     if fired is not None:
         terms = [

@@ -58,11 +58,11 @@ def coefficient_names(effect: Effect) -> tuple[list[str], list[str], list[str]]:
 
 def curves_of(estimate: Estimate, effect: Effect, places: Sequence[str] | None = None) -> Curves:
     """What an estimate's rows say of the curves that ``effect`` may align, at some places or all."""
-    own = estimate.experiment.effects[str(effect.aligns)]
+    own = estimate.problem.effects[str(effect.aligns)]
     shared, low, _ = coefficient_names(effect)
     names = [*low, *shared]
     index = {slot: k for k, slot in enumerate(estimate.slots)}
-    n = estimate.experiment.rows.robot.n
+    n = estimate.problem.rows.robot.n
     where = {j: [index.get(Slot(own.name, a, f"joint{j + 1}"), -1) for a in names] for j in range(n)}
     allowed = {f"joint{j + 1}" for j in range(n)} if places is None else set(places)
     joints = tuple(j for j, found in where.items() if min(found) >= 0 and f"joint{j + 1}" in allowed)

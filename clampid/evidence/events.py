@@ -85,7 +85,7 @@ class Scan:
 
 def absent_events(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Effect]:
     """The events that could act in an estimate's stage and that it leaves out."""
-    active, stage = {slot.effect for slot in estimate.slots}, estimate.experiment.stage
+    active, stage = {slot.effect for slot in estimate.slots}, estimate.problem.stage
     found = [e for e in effects.values() if e.event is not None and kind_of(stage).has(e) and e.name not in active]
     return [e for e in found if e.search.refines is None or e.search.refines in active]
 
@@ -123,9 +123,9 @@ def _amplitudes(effect: Effect) -> tuple[Slot, ...]:
 
 def _unit_steps(estimate: Estimate, effect: Effect) -> Array:
     """What a unit of each of an event's amplitudes does to rows after it ``(N, m, k)``."""
-    rows, count, slots = estimate.experiment.rows, len(estimate.slots), _amplitudes(effect)
+    rows, count, slots = estimate.problem.rows, len(estimate.slots), _amplitudes(effect)
     after = replace(rows, signals={**rows.signals, "sweep_progress": np.full(len(rows), LATE)})
-    trial = estimate.experiment.with_slots((*estimate.slots, *slots, _clock(effect))).with_rows(after)
+    trial = estimate.problem.with_slots((*estimate.slots, *slots, _clock(effect))).with_rows(after)
     theta = np.r_[estimate.theta[:count], np.zeros(len(slots)), BEFORE, estimate.theta[count:]]
     return np.asarray(trial.residual(theta)[1][:, :, count : count + len(slots)])
 
@@ -142,7 +142,7 @@ def _scanned(estimate: Estimate, space: Space, steps: Array) -> Scan | None:
 
     With less than a block of rows before it or after it, an event is as good as the sweep's beginning or end.
     """
-    rows, white, k = estimate.experiment.rows, estimate.whitened, steps.shape[2]
+    rows, white, k = estimate.problem.rows, estimate.whitened, steps.shape[2]
     position, length = _positions(rows)
     run, progress = rows.series.run, rows.signals["sweep_progress"]
     starts = np.arange(BLOCK_ROWS, int(length.max(initial=0)) - BLOCK_ROWS + 1)
@@ -204,12 +204,12 @@ class _Sums:
 def _whitened_step(estimate: Estimate, steps: Array, after: Array) -> Array:
     """Whitened columns ``(M, k)`` of a step in every sweep at once, from the rows ``after`` ``(N,)`` on."""
     stepped = steps * after[:, None, None]
-    return estimate.noise.whiten(estimate.experiment.rows, np.zeros(stepped.shape[:2]), stepped).jacobian
+    return estimate.noise.whiten(estimate.problem.rows, np.zeros(stepped.shape[:2]), stepped).jacobian
 
 
 def _candidate(estimate: Estimate, effect: Effect, steps: Array, time: float) -> Candidate:
     """An event at a time."""
-    rows, white = estimate.experiment.rows, estimate.whitened
+    rows, white = estimate.problem.rows, estimate.whitened
     progress = rows.signals["sweep_progress"]
     columns = _whitened_step(estimate, steps, (progress > time) & (progress < np.floor(time) + 1.0))
     slots = _amplitudes(effect)

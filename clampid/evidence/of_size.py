@@ -97,11 +97,11 @@ def sized(estimate: Estimate, name: str) -> dict[Slot, float]:
         Of an effect whose amplitudes' size is a parameter of its own (:attr:`clampid.effect.Effect.sized_by`).
     """
     own = {slot: k for k, slot in enumerate(estimate.slots) if slot.effect == name}
-    size = next(slot for slot in own if slot.parameter == estimate.experiment.effects[name].sized_by)
+    size = next(slot for slot in own if slot.parameter == estimate.problem.effects[name].sized_by)
     values = estimate.values()
-    amplitudes = np.array([k for slot, k in own.items() if not estimate.experiment.parameters[k].shape], dtype=np.int64)
+    amplitudes = np.array([k for slot, k in own.items() if not estimate.problem.parameters[k].shape], dtype=np.int64)
     information, score = rows_say(estimate, amplitudes)
-    prior = estimate.experiment.prior_std()[amplitudes]
+    prior = estimate.problem.prior_std()[amplitudes]
     ratio, vectors = linalg.eigh(information * np.outer(prior, prior))
     seen = ratio > 1e-9
     component = (prior * score @ vectors[:, seen]) / np.sqrt(ratio[seen])

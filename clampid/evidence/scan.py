@@ -112,12 +112,12 @@ def _all_places(
     estimate: Estimate, space: Space, effects: Mapping[str, Effect], only: Iterable[str] | None = None
 ) -> list[_Tried]:
     """Every place of every joint at which a scanned effect is not active."""
-    rows, stage = estimate.experiment.rows, estimate.experiment.stage
+    rows, stage = estimate.problem.rows, estimate.problem.stage
     wanted = [e for e in effects.values() if e.scanned is not None and kind_of(stage).has(e)]
     if not kind_of(stage).points or not wanted:
         return []
-    theta, offsets = estimate.theta[: len(estimate.slots)], estimate.experiment.chain.offsets
-    _, sensitivity = poses.by_station(rows, poses.evaluate(rows, estimate.experiment.chain, theta))
+    theta, offsets = estimate.theta[: len(estimate.slots)], estimate.problem.chain.offsets
+    _, sensitivity = poses.by_station(rows, poses.evaluate(rows, estimate.problem.chain, theta))
     unit = sensitivity[:, :, offsets["joint_angle"]]
     levers = estimate.noise.whiten(rows, np.zeros(unit.shape[:2]), unit)
     active = {(slot.effect, slot.place) for slot in estimate.slots}
@@ -157,7 +157,7 @@ def _places(
     tables: list[tuple[Mapping[str, float], Array]],
 ) -> _Tried | None:
     """All places of one joint; None where no pose shows any."""
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     at = np.rint(np.mod(rows.signals["q"][:, j], 2.0 * np.pi) * TABLE / (2.0 * np.pi)).astype(np.int64)
     lever = levers.jacobian[:, j]
     seen = np.zeros(len(rows), dtype=bool)
@@ -229,7 +229,7 @@ def _refined(estimate: Estimate, space: Space, tried: _Tried) -> Candidate:
 
 def _column(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -> Array:
     """The whitened column ``(M,)`` of a joint's effect with some shapes."""
-    q = ca.DM(estimate.experiment.rows.signals["q"][:, tried.joint])
+    q = ca.DM(estimate.problem.rows.signals["q"][:, tried.joint])
     amplitude = next(p.name for p in tried.effect.parameters if not p.shape)
     p: Any = SimpleNamespace(**{amplitude: 1.0, **shapes})
     values = np.asarray(tried.effect.acts["joint_angle"](p, SimpleNamespace(q=q)), dtype=float).ravel()
@@ -241,7 +241,7 @@ def _candidate(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -
     effect, place, white = tried.effect, f"joint{tried.joint + 1}", estimate.whitened
     amplitude = next(p for p in effect.parameters if not p.shape)
     slot = Slot(effect.name, amplitude.name, place)
-    parameter = parameter_of(slot, {effect.name: effect}, estimate.experiment.rows.robot)
+    parameter = parameter_of(slot, {effect.name: effect}, estimate.problem.rows.robot)
     column = _column(estimate, tried, shapes)[:, None]
     pieces = tuple((start, column[start:stop]) for start, stop in channel_starts(white))
     return Candidate(

@@ -112,7 +112,7 @@ def unshrunk(residual: Array, basis: Array, unit: Integers) -> Array:
 def space_of(estimate: Estimate, unit: Integers | None = None) -> Space:
     """The residual and absorbed span of an estimate; ``unit`` ``(N,)``: what the null flips, else the rows' own."""
     white = estimate.whitened
-    size = estimate.experiment.sizes()
+    size = estimate.problem.sizes()
     precision = _opened(estimate)
     values, vectors = np.linalg.eigh(precision * np.outer(size, size))
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).T / size  # root' root = precision
@@ -126,7 +126,7 @@ def space_of(estimate: Estimate, unit: Integers | None = None) -> Space:
     del jacobian
     residual = residual - basis @ (basis.T @ residual)
     count = len(white.residual)
-    unit = (estimate.experiment.rows.unit if unit is None else unit)[white.entry]
+    unit = (estimate.problem.rows.unit if unit is None else unit)[white.entry]
     units = np.r_[unit, unit.max(initial=0) + 1 + np.arange(len(root))]
     freedom = max(count - basis.shape[1], 1)
     scale = float(np.sqrt(residual @ residual / freedom))
@@ -162,8 +162,8 @@ def _opened(estimate: Estimate) -> Array:
     error: what it would explain then is no evidence of anything else.
     """
     precision = estimate.prior_precision.copy()
-    variance, tight = np.diag(estimate.covariance), (HELD_STD * estimate.experiment.sizes()) ** -2.0
-    open_ = (variance * tight > HELD_OPEN) & ~estimate.experiment.fixed()
+    variance, tight = np.diag(estimate.covariance), (HELD_STD * estimate.problem.sizes()) ** -2.0
+    open_ = (variance * tight > HELD_OPEN) & ~estimate.problem.fixed()
     held = np.flatnonzero(open_ & (np.diag(precision) > 0.5 * tight))
     precision[held, :] = precision[:, held] = 0.0
     precision[held, held] = 1.0 / variance[held]

@@ -168,20 +168,20 @@ def rms_of(rows: Rows, residual: Array, floor: Floor) -> float:
     return float(np.sqrt(np.mean(size[counts] ** 2))) if counts.any() else float("nan")
 
 
-def predicted(experiment: FitProblem, theta: Array, noise: Noise | None = None) -> Array:
+def predicted(problem: FitProblem, theta: Array, noise: Noise | None = None) -> Array:
     """Residuals ``(N, m)`` of rows that were not fitted, at given slot values ``(P,)``.
 
     The unknown constants of a run or sweep are found from it, all else fixed.
     """
-    if not experiment.offsets:
-        return experiment.error(theta)
-    count = len(experiment.slots)
-    full = np.r_[theta, np.zeros(experiment.offsets)]
-    if experiment.kind.solved:
-        full[count:] = clamping_offsets(experiment, full)
-    free = experiment.own() & ~experiment.fixed()
-    precision = np.diag(np.where(free, 1.0 / experiment.prior_std() ** 2, 1e12 / experiment.sizes() ** 2))
-    estimate = solve(experiment, full, noise or Noise(experiment.rows.sigma), precision, full)
+    if not problem.offsets:
+        return problem.error(theta)
+    count = len(problem.slots)
+    full = np.r_[theta, np.zeros(problem.offsets)]
+    if problem.kind.solved:
+        full[count:] = clamping_offsets(problem, full)
+    free = problem.own() & ~problem.fixed()
+    precision = np.diag(np.where(free, 1.0 / problem.prior_std() ** 2, 1e12 / problem.sizes() ** 2))
+    estimate = solve(problem, full, noise or Noise(problem.rows.sigma), precision, full)
     return estimate.residual
 
 
@@ -193,14 +193,14 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
     from the whole fit's normal equations, less those of the part, is that fit: all that is left out is the model's
     curvature within a standard error. Flanks stay where the whole fit has them.
     """
-    experiment, white = estimate.experiment.with_flanks(estimate.theta), estimate.whitened
+    problem, white = estimate.problem.with_flanks(estimate.theta), estimate.whitened
     part = parts_of_rows(rows, seed)
-    residual = experiment.error(estimate.theta)
-    size = experiment.sizes()
-    its_own, of_part = np.flatnonzero(experiment.own() & ~experiment.fixed()), part[white.entry]
+    residual = problem.error(estimate.theta)
+    size = problem.sizes()
+    its_own, of_part = np.flatnonzero(problem.own() & ~problem.fixed()), part[white.entry]
     shared = np.setdiff1d(np.arange(len(size)), its_own)
     normals = {k: _normal(white.jacobian[of_part == k], white.residual[of_part == k]) for k in np.unique(of_part)}
-    free = ~limits_of(experiment).resting(estimate.theta)
+    free = ~limits_of(problem).resting(estimate.theta)
     lever = estimate.prior_precision @ (estimate.prior_mean - estimate.theta)
     steps: dict[int, Array] = {}
     for k, (A_out, b_out) in normals.items():
@@ -217,7 +217,7 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
             alone = newton_step(A_out[np.ix_(its_own, its_own)] + weak, left, size[its_own], 0.0, shown)
             step[its_own] = np.where(shown, alone, step[its_own])
         steps[k] = step
-    moves = experiment.moved(estimate.theta, np.array([*steps.values()]).reshape(len(steps), len(size)).T)
+    moves = problem.moved(estimate.theta, np.array([*steps.values()]).reshape(len(steps), len(size)).T)
     for number, k in enumerate(steps):
         residual[part == k] -= moves[part == k][:, :, number]
     return rows, residual
@@ -236,7 +236,7 @@ def _normal(J: Array, r: Array) -> tuple[Array, Array]:
 
 def counted(estimate: Estimate, verification: Rows | None) -> tuple[Rows, Array]:
     """Fitted rows and residual that errors are of: beside a verification table, which is of points, no distances."""
-    rows, residual = estimate.experiment.rows, estimate.residual
+    rows, residual = estimate.problem.rows, estimate.residual
     if verification is None or not rows.kind.points:
         return rows, residual
     return rows.points, residual[~rows.ranged]
@@ -252,11 +252,11 @@ def unseen(
     fitted, left = counted(estimate, verification)
     count = len(estimate.slots)
     if verification is not None:
-        residual = predicted(estimate.experiment.with_rows(verification), estimate.theta[:count])
+        residual = predicted(estimate.problem.with_rows(verification), estimate.theta[:count])
         return without_outlying(verification, residual, fitted, left), residual
     if held and any(held):
         test = rows.take(np.flatnonzero(rows.in_folds(held)))
-        return test, predicted(estimate.experiment.with_rows(test), estimate.theta[:count])
+        return test, predicted(estimate.problem.with_rows(test), estimate.theta[:count])
     return cross_validated(estimate, fitted, seed)
 
 

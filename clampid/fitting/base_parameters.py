@@ -58,12 +58,12 @@ def base_parameters(estimate: Estimate) -> tuple[BaseParameter, ...]:
     tuple
         From the base outwards; empty where the fit has no inertial parameters, or is of another stage.
     """
-    experiment, count = estimate.experiment, len(estimate.slots)
-    if not experiment.kind.moving or not experiment.numbers_of(*INERTIAL):
+    problem, count = estimate.problem, len(estimate.slots)
+    if not problem.kind.moving or not problem.numbers_of(*INERTIAL):
         return ()
     columns, offsets = _columns(estimate)
     return grouped(
-        experiment,
+        problem,
         estimate.theta[:count],
         estimate.covariance[:count, :count],
         estimate.prior_precision[:count, :count],
@@ -73,22 +73,22 @@ def base_parameters(estimate: Estimate) -> tuple[BaseParameter, ...]:
 
 
 def grouped(
-    experiment: FitProblem, theta: Array, covariance: Array, precision: Array, columns: Array, offsets: Array
+    problem: FitProblem, theta: Array, covariance: Array, precision: Array, columns: Array, offsets: Array
 ) -> tuple[BaseParameter, ...]:
     """The base parameters of a torque fit whose columns are given.
 
     Parameters
     ----------
-    experiment
+    problem
         Slots and robot.
     theta, covariance, precision
         ``(P,)``, ``(P, P)`` and the prior's ``(P, P)``, SI.
     columns, offsets
         Of some rows over their noise, the Jacobian of the slots ``(M, P)`` and of the runs' offsets ``(M, K)``.
     """
-    slots, effects = experiment.slots, experiment.effects
-    robot, count = experiment.rows.robot, len(slots)
-    size = experiment.sizes()[:count]
+    slots, effects = problem.slots, problem.effects
+    robot, count = problem.rows.robot, len(slots)
+    size = problem.sizes()[:count]
     turned = to_joint_points(slots, robot)
     order = sorted(range(count), key=lambda k: _turn(slots[k]))
     kept, coefficients = regroup(columns @ np.linalg.inv(turned) * size, order, offsets)
@@ -194,13 +194,13 @@ def described_parameters(slots: Sequence[Slot], robot: RobotDescription) -> Arra
 
 def _columns(estimate: Estimate) -> tuple[Array, Array]:
     """Jacobian of some of the rows over their noise: of the slots ``(M, P)``, and of the runs' offsets ``(M, K)``."""
-    rows: Rows = estimate.experiment.rows
+    rows: Rows = estimate.problem.rows
     chosen = sampled_rows(rows)
     part = rows.take(chosen)
-    if not estimate.experiment.numbers_of(*INERTIAS):
+    if not estimate.problem.numbers_of(*INERTIAS):
         # Rows are steady then: the little acceleration they have must not blur what gravity cannot separate.
         part = replace(part, signals={**part.signals, **_at_rest(part)})
-    trial = estimate.experiment.with_rows(part)
+    trial = estimate.problem.with_rows(part)
     count = len(estimate.slots)
     theta = np.r_[estimate.theta[:count], np.zeros(trial.offsets)]
     _, jacobian = trial.residual(theta)

@@ -70,8 +70,8 @@ def draws(estimate: Estimate, count: int, rng: np.random.Generator) -> Array:
     ValueError
         A session has fewer than two folds.
     """
-    folds, first = np.unique(estimate.experiment.rows.fold, return_index=True)
-    session = estimate.experiment.rows.session[first]
+    folds, first = np.unique(estimate.problem.rows.fold, return_index=True)
+    session = estimate.problem.rows.session[first]
     out = np.zeros((count, len(folds)))
     for s in np.unique(session):
         own = np.flatnonzero(session == s)
@@ -84,7 +84,7 @@ def draws(estimate: Estimate, count: int, rng: np.random.Generator) -> Array:
 def one_step(estimate: Estimate, weights: Array) -> Array:
     """Parameters ``(B, P + K)`` of fits whose folds have these weights ``(B, F)``, by one Gauss-Newton step each."""
     A, g = _normal_equations(estimate)
-    size = estimate.experiment.sizes()
+    size = estimate.problem.sizes()
     precision = estimate.prior_precision * np.outer(size, size)
     pull = estimate.prior_precision @ (estimate.theta - estimate.prior_mean) * size
     out = np.empty((len(weights), len(size)))
@@ -99,10 +99,10 @@ def one_step(estimate: Estimate, weights: Array) -> Array:
 
 def _normal_equations(estimate: Estimate) -> tuple[Array, Array]:
     """Normal matrices ``(F, P, P)`` and slopes ``(F, P)`` of every fold, in parameters of usual size."""
-    _, fold = np.unique(estimate.experiment.rows.fold, return_inverse=True)
+    _, fold = np.unique(estimate.problem.rows.fold, return_inverse=True)
     of: Integers = fold[estimate.whitened.entry]
     order = np.argsort(of, kind="stable")
-    J = (estimate.whitened.jacobian * estimate.experiment.sizes())[order]
+    J = (estimate.whitened.jacobian * estimate.problem.sizes())[order]
     r = estimate.whitened.residual[order]
     count, P = int(fold.max()) + 1, J.shape[1]
     ends = np.searchsorted(of[order], np.arange(count + 1))

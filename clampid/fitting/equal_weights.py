@@ -98,7 +98,7 @@ def with_best_weights(estimate: Estimate, seed: int) -> tuple[Estimate, Weights 
     FitError
         The fit with equal weights gives no finite prediction.
     """
-    experiment, rows = estimate.experiment, estimate.experiment.rows
+    problem, rows = estimate.problem, estimate.problem.rows
     part = parts_of_rows(rows, seed)
     if len(np.unique(part)) < 2:
         return estimate, None
@@ -106,7 +106,7 @@ def with_best_weights(estimate: Estimate, seed: int) -> tuple[Estimate, Weights 
 
     def equally(noise: Noise, start: Array) -> Estimate:
         alike = replace(noise, autocorrelations=uncorrelated(len(noise.autocorrelations)))
-        return solve(experiment, start, alike, precision, mean)
+        return solve(problem, start, alike, precision, mean)
 
     def squares(fitted: Estimate) -> Array:
         left = np.where(rows.used, cross_validated(fitted, rows, seed)[1], 0.0) ** 2
@@ -126,9 +126,9 @@ def with_best_weights(estimate: Estimate, seed: int) -> tuple[Estimate, Weights 
             power += gradient_power(white.jacobian[white.channel == c], groups, Predictors(correlation))
     slope = white.jacobian.T @ white.residual
     sums = Moments(plain.theta, white.normal, slope, plain.point.cost, plain.point.count)
-    limits = limits_of(experiment)
+    limits = limits_of(problem)
     best = informed(sums, power, precision, mean, limits.size, ~limits.resting(plain.theta))
-    point = stage_point(experiment, plain.noise, best.at)
+    point = stage_point(problem, plain.noise, best.at)
     covariance = covariance_of(best.normal, precision, point.cost, point.count)
     return replace(plain, theta=best.at, covariance=covariance, whitened=point.white, residual=point.residual), weights
 

@@ -45,7 +45,7 @@ FIRST_FRICTION_STEP = (
 
 
 def fit(
-    experiment: FitProblem,
+    problem: FitProblem,
     priors: Sequence[Prior] = (),
     start: Mapping[Slot, float] | None = None,
     *,
@@ -53,7 +53,7 @@ def fit(
     noise: Noise | None = None,
     weights: Noise | None = None,
 ) -> Estimate:
-    """Fit the experiment's slots to its rows.
+    """Fit the problem's slots to its rows.
 
     Weighted first by what the instrument states, then by what the residual shows, in two rounds; in between, rows
     whose residual a clean table would show with a chance of 1 % are rejected, in at most three passes; but for rows of
@@ -72,40 +72,40 @@ def fit(
     FitError
         There are no rows to fit, or no finite solution.
     """
-    if not experiment.rows.used.any():
-        raise FitError(f"{experiment.stage}: no rows can be used: no motor moves, or every row is an outlier")
-    precision, mean = prior_of(experiment, priors)
-    theta = start_of(experiment, start, priors)
-    mean = np.where(experiment.fixed(), theta, mean)
-    rejected = np.zeros(len(experiment.rows), dtype=bool)
-    model = noise or weights or initial_noise(experiment.rows)
-    theta = _kept_first(experiment, theta, model, precision, mean)
-    early = not experiment.kind.points or noise is not None  # else another search follows, with the noise learned
+    if not problem.rows.used.any():
+        raise FitError(f"{problem.stage}: no rows can be used: no motor moves, or every row is an outlier")
+    precision, mean = prior_of(problem, priors)
+    theta = start_of(problem, start, priors)
+    mean = np.where(problem.fixed(), theta, mean)
+    rejected = np.zeros(len(problem.rows), dtype=bool)
+    model = noise or weights or initial_noise(problem.rows)
+    theta = _kept_first(problem, theta, model, precision, mean)
+    early = not problem.kind.points or noise is not None  # else another search follows, with the noise learned
     shared = Shared()
-    estimate = _past_clearances(solve(experiment, theta, model, precision, mean, errors=early, shared=shared))
-    whole, agreed = experiment.rows, np.zeros(len(rejected), dtype=bool)
+    estimate = _past_clearances(solve(problem, theta, model, precision, mean, errors=early, shared=shared))
+    whole, agreed = problem.rows, np.zeros(len(rejected), dtype=bool)
     for _ in range(OUTLIER_PASSES if reject else 0):
-        if experiment.kind.points:  # a wrong row may have pulled others off that are right
+        if problem.kind.points:  # a wrong row may have pulled others off that are right
             bad = outlying(whole, estimate.residual) & ~agreed
         else:
-            bad = rejected | outlying(experiment.rows, estimate.residual)
+            bad = rejected | outlying(problem.rows, estimate.residual)
         if bad.mean() <= AGREEING_SHARE:
             agreed |= _agreeing(whole, bad, estimate.residual)
             bad &= ~agreed
         if bad.mean() > OUTLIER_SHARE or np.array_equal(bad, rejected):
             break
         rejected = bad
-        experiment = experiment.with_rows(whole.without(rejected))
-        estimate = solve(experiment, estimate.theta, model, precision, mean, errors=early, shared=shared)
+        problem = problem.with_rows(whole.without(rejected))
+        estimate = solve(problem, estimate.theta, model, precision, mean, errors=early, shared=shared)
     if noise is None:
-        rounds = 1 if experiment.kind.points and weights is None else 2
+        rounds = 1 if problem.kind.points and weights is None else 2
         for number in range(rounds):
-            model = learn_noise(experiment.rows, estimate.residual, _absorbed(estimate))
-            if experiment.kind.moving and estimate.noise.settled(model):
+            model = learn_noise(problem.rows, estimate.residual, _absorbed(estimate))
+            if problem.kind.moving and estimate.noise.settled(model):
                 break
             errors = early or number == rounds - 1
-            estimate = solve(experiment, estimate.theta, model, precision, mean, errors=errors, shared=shared)
-    if experiment.kind.points:
+            estimate = solve(problem, estimate.theta, model, precision, mean, errors=errors, shared=shared)
+    if problem.kind.points:
         estimate = _along_bars(estimate, priors)
         estimate = with_repeatability(without_unknown_friction(estimate))
     return replace(estimate, outliers=rejected)
@@ -117,7 +117,7 @@ def _along_bars(estimate: Estimate, priors: Sequence[Prior]) -> Estimate:
     About the nominal targets a distance of 0.2 m is wrong by 3 µm where one of them is off by a millimetre across it.
     """
     for _ in range(BAR_PASSES):
-        rows = estimate.experiment.rows
+        rows = estimate.problem.rows
         stated = rows.constants.stated
         if not any(s.bar for s in stated):
             return estimate
@@ -129,16 +129,16 @@ def _along_bars(estimate: Estimate, priors: Sequence[Prior]) -> Estimate:
         ]
         if max(float(m.max()) for m in moved) < BAR_MOVED:
             return estimate
-        experiment = estimate.experiment.with_rows(replace(rows, constants=replace(rows.constants, stated=now)))
-        precision, mean = prior_of(experiment, priors)
-        mean = np.where(experiment.fixed(), estimate.theta, mean)
-        estimate = solve(experiment, estimate.theta, estimate.noise, precision, mean)
+        problem = estimate.problem.with_rows(replace(rows, constants=replace(rows.constants, stated=now)))
+        precision, mean = prior_of(problem, priors)
+        mean = np.where(problem.fixed(), estimate.theta, mean)
+        estimate = solve(problem, estimate.theta, estimate.noise, precision, mean)
     return estimate
 
 
 def agreeing_rows(estimate: Estimate) -> list[Agreement]:
     """Rows of poses that are as far off as outliers are, but agree, so that they are none; of other stages none."""
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     bad = estimate.outliers | outlying(rows, estimate.residual)
     if not rows.kind.points or bad.mean() > AGREEING_SHARE:
         return []
@@ -154,44 +154,44 @@ def _agreeing(rows: Rows, bad: Bools, residual: Array) -> Bools:
     return out
 
 
-def again(estimate: Estimate, experiment: FitProblem, none: Sequence[int]) -> Estimate:
-    """The same pose fit of another experiment with the same parameters and rows: noise, prior and outliers stay.
+def again(estimate: Estimate, problem: FitProblem, none: Sequence[int]) -> Estimate:
+    """The same pose fit of another problem with the same parameters and rows: noise, prior and outliers stay.
 
     Frictions ``none`` stay at zero, for the reason that :mod:`clampid.fitting.unknown_friction` gives.
     """
-    found = without_unknown_friction(at_no_friction(replace(estimate, experiment=experiment), none))
+    found = without_unknown_friction(at_no_friction(replace(estimate, problem=problem), none))
     return replace(with_repeatability(found), outliers=estimate.outliers)
 
 
-def _yields(experiment: FitProblem) -> bool:
+def _yields(problem: FitProblem) -> bool:
     """Whether what holds a clamped arm moves in the model, so that torques of held joints change."""
-    return any("fixture" in experiment.effects[slot.effect].acts for slot in experiment.slots)
+    return any("fixture" in problem.effects[slot.effect].acts for slot in problem.slots)
 
 
-def _kept_first(experiment: FitProblem, theta: Array, noise: Noise, precision: Array, mean: Array) -> Array:
+def _kept_first(problem: FitProblem, theta: Array, noise: Noise, precision: Array, mean: Array) -> Array:
     """Where the search of a clamped arm begins: found with held motors' friction as their last motion left it.
 
     Springs, and a block of which nothing is known yet, would else draw that friction to where other clearances are
     crossed, and a search does not come back from there.
     """
-    if not _yields(experiment):
+    if not _yields(problem):
         return theta
-    motors = experiment.rows.series.offset_keys[:, 1] >= experiment.rows.robot.n
-    kept = len(experiment.slots) + np.flatnonzero(motors)
-    held = holding(experiment, precision, kept, FIRST_FRICTION_STEP)
-    return solve(experiment, theta, noise, held, mean).theta if len(kept) else theta
+    motors = problem.rows.series.offset_keys[:, 1] >= problem.rows.robot.n
+    kept = len(problem.slots) + np.flatnonzero(motors)
+    held = holding(problem, precision, kept, FIRST_FRICTION_STEP)
+    return solve(problem, theta, noise, held, mean).theta if len(kept) else theta
 
 
 def _past_clearances(estimate: Estimate) -> Estimate:
     """The estimate, or a likelier one, of a clamped arm whose held joints cross their clearances elsewhere."""
-    if not _yields(estimate.experiment):
+    if not _yields(estimate.problem):
         return estimate
     noise, precision, mean = estimate.noise, estimate.prior_precision, estimate.prior_mean
     for _ in range(CROSSING_PASSES):
-        other = other_crossings(estimate.experiment, noise, estimate.theta, precision, mean)
+        other = other_crossings(estimate.problem, noise, estimate.theta, precision, mean)
         if other is None:
             return estimate
-        found = solve(estimate.experiment, other, noise, precision, mean)
+        found = solve(estimate.problem, other, noise, precision, mean)
         if not _unlikely(found) < _unlikely(estimate):
             return estimate
         estimate = found
@@ -200,7 +200,7 @@ def _past_clearances(estimate: Estimate) -> Estimate:
 
 def _unlikely(estimate: Estimate) -> float:
     """-2 log of the evidence of where a search has ended, by Laplace's approximation."""
-    size = estimate.experiment.sizes()
+    size = estimate.problem.sizes()
     A = (estimate.point.matrix + estimate.prior_precision) * np.outer(size, size)
     return estimate.cost + float(np.linalg.slogdet(A)[1])
 
@@ -210,10 +210,10 @@ def _absorbed(estimate: Estimate) -> Array | None:
 
     There every row has few neighbours and the noise one scale, so that what is absorbed is a count of parameters.
     """
-    if not estimate.experiment.kind.solved:
+    if not estimate.problem.kind.solved:
         return None
-    _, jacobian = estimate.experiment.residual(estimate.theta)
-    size = estimate.experiment.sizes()
+    _, jacobian = estimate.problem.residual(estimate.theta)
+    size = estimate.problem.sizes()
     values, vectors = linalg.eigh(estimate.covariance / np.outer(size, size))
     root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     return np.asarray(jacobian @ root)

@@ -30,7 +30,7 @@ START_PASSES = 2
 
 
 def with_friction_start(
-    experiment: FitProblem, priors: Sequence[Prior], start: Mapping[Slot, float]
+    problem: FitProblem, priors: Sequence[Prior], start: Mapping[Slot, float]
 ) -> Mapping[Slot, float]:
     """The start of a fit with values of all slots, where poses have to tell a friction that nothing is known of.
 
@@ -40,14 +40,14 @@ def with_friction_start(
         The model gives no finite prediction.
     """
     known = {*start, *(slot for prior in priors for slot in prior.slots)}
-    open_ = [k for k in experiment.numbers_of("arm_friction") if experiment.slots[k] not in known]
-    reads = experiment.kind.points and experiment.chain.reads_flanks
-    if not open_ or not reads or not experiment.rows.used.any():
+    open_ = [k for k in problem.numbers_of("arm_friction") if problem.slots[k] not in known]
+    reads = problem.kind.points and problem.chain.reads_flanks
+    if not open_ or not reads or not problem.rows.used.any():
         return start
-    precision, mean = prior_of(experiment, priors)
-    theta = start_of(experiment, start, priors)
-    mean = np.where(experiment.fixed(), theta, mean)
-    best = solve(experiment, theta, initial_noise(experiment.rows), precision, mean)
+    precision, mean = prior_of(problem, priors)
+    theta = start_of(problem, start, priors)
+    mean = np.where(problem.fixed(), theta, mean)
+    best = solve(problem, theta, initial_noise(problem.rows), precision, mean)
     for _ in range(START_PASSES):
         before = best.cost
         for k in open_:
@@ -59,19 +59,19 @@ def with_friction_start(
 
 def _past_flips(estimate: Estimate, friction: int) -> Estimate:
     """The estimate, or a better one that begins with another value of one joint's friction."""
-    experiment, limits = estimate.experiment, limits_of(estimate.experiment)
-    joint = int(experiment.slots[friction].place.removeprefix("joint")) - 1
+    problem, limits = estimate.problem, limits_of(estimate.problem)
+    joint = int(problem.slots[friction].place.removeprefix("joint")) - 1
     none = estimate.theta.copy()
     none[friction] = 0.0
-    pressing = poses.pressing(experiment.rows, experiment.chain, none)
+    pressing = poses.pressing(problem.rows, problem.chain, none)
     if pressing is None:
         return estimate
-    seen = [_flanks(experiment, estimate.theta)]
+    seen = [_flanks(problem, estimate.theta)]
     best, reached = None, estimate.cost
     for value in np.quantile(np.abs(pressing[:, joint]), SHARES_OF_ROWS):
         theta = none.copy()
         theta[friction] = value
-        flanks = _flanks(experiment, theta)
+        flanks = _flanks(problem, theta)
         if any(np.array_equal(flanks, other) for other in seen):
             continue
         seen.append(flanks)
@@ -80,18 +80,18 @@ def _past_flips(estimate: Estimate, friction: int) -> Estimate:
             best, reached = there, cost
     if best is None:
         return estimate
-    found = solve(experiment, best, estimate.noise, estimate.prior_precision, estimate.prior_mean)
+    found = solve(problem, best, estimate.noise, estimate.prior_precision, estimate.prior_mean)
     return found if found.cost < estimate.cost else estimate
 
 
-def _flanks(experiment: FitProblem, theta: Array) -> Array:
-    found = poses.flanks(experiment.rows, experiment.chain, theta)
+def _flanks(problem: FitProblem, theta: Array) -> Array:
+    found = poses.flanks(problem.rows, problem.chain, theta)
     return np.zeros(0) if found is None else found
 
 
 def _step(estimate: Estimate, theta: Array, limits: Limits) -> tuple[Array, float]:
     """One Newton step from ``theta`` with the flanks held there, and the cost that it promises."""
-    point = stage_point(estimate.experiment.with_flanks(theta), estimate.noise, theta)
+    point = stage_point(estimate.problem.with_flanks(theta), estimate.noise, theta)
     A, g = point.normal()
     off = theta - estimate.prior_mean
     A, g = A + estimate.prior_precision, g - estimate.prior_precision @ off

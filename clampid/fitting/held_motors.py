@@ -50,7 +50,7 @@ class _Sweeps:
         ``(sweeps,)``: sweeps of one number share what is known of their constants.
     """
 
-    experiment: FitProblem
+    problem: FitProblem
     rows: Rows
     noise: Noise
     theta: Array
@@ -61,15 +61,15 @@ class _Sweeps:
     clamping: Integers
 
     @classmethod
-    def of(cls, experiment: FitProblem, noise: Noise, theta: Array, precision: Array, mean: Array) -> _Sweeps:
-        count, rows = len(experiment.slots), experiment.rows
+    def of(cls, problem: FitProblem, noise: Noise, theta: Array, precision: Array, mean: Array) -> _Sweeps:
+        count, rows = len(problem.slots), problem.rows
         keys = rows.series.offset_keys
         own = np.asarray(precision[count:, count:])
         clamping = np.arange(int(rows.series.run.max()) + 1)
         for a, b in np.argwhere(np.triu(own != 0.0, 1)):
             pair = clamping[keys[[a, b], 0]]
             clamping[clamping == pair.max()] = pair.min()
-        return cls(experiment, rows, noise, theta[:count], mean[count:], own, keys, np.arange(len(keys)), clamping)
+        return cls(problem, rows, noise, theta[:count], mean[count:], own, keys, np.arange(len(keys)), clamping)
 
     def only(self, clampings: Bools) -> _Sweeps:
         """The rows of some clampings ``(sweeps,)`` alone."""
@@ -82,7 +82,7 @@ class _Sweeps:
     def quadratic(self, own: Array) -> tuple[Array, Array, Array]:
         """Costs ``(sweeps,)`` by clamping, normal matrix ``(K, K)`` and downhill gradient ``(K,)``."""
         rows, n, count = self.rows, self.rows.robot.n, len(self.clamping)
-        residual, by_angle = residual_by_angle(rows, self.experiment.chain, self.theta, own[self.index])
+        residual, by_angle = residual_by_angle(rows, self.problem.chain, self.theta, own[self.index])
         kept = np.broadcast_to(np.eye(n), (len(rows), n, n))
         white = self.noise.whiten(rows, residual, np.concatenate([by_angle, kept], axis=2))
         run = rows.series.run[white.entry]
@@ -124,7 +124,7 @@ class _Sweeps:
         return best, np.where(clampings, cost, np.inf)
 
 
-def other_crossings(experiment: FitProblem, noise: Noise, theta: Array, precision: Array, mean: Array) -> Array | None:
+def other_crossings(problem: FitProblem, noise: Noise, theta: Array, precision: Array, mean: Array) -> Array | None:
     """Parameters ``(P + K,)`` whose sweeps' own constants are likelier than those given; None where there are none.
 
     Parameters
@@ -134,12 +134,12 @@ def other_crossings(experiment: FitProblem, noise: Noise, theta: Array, precisio
     precision, mean
         The prior: ``(P + K, P + K)`` and ``(P + K,)``.
     """
-    if not experiment.numbers_of("clearance"):
+    if not problem.numbers_of("clearance"):
         return None
-    live, count = _live(experiment, theta), len(experiment.slots)
+    live, count = _live(problem, theta), len(problem.slots)
     if not live.any():
         return None
-    sweeps = _Sweeps.of(experiment, noise, theta, precision, mean)
+    sweeps = _Sweeps.of(problem, noise, theta, precision, mean)
     waiting = np.bincount(sweeps.clamping, live.any(axis=1), len(live)) > 0.0
     own, cost = sweeps.descend(theta[count:], waiting)
     begun = False
@@ -155,12 +155,12 @@ def other_crossings(experiment: FitProblem, noise: Noise, theta: Array, precisio
     return np.r_[theta[:count], own] if begun else None
 
 
-def _live(experiment: FitProblem, theta: Array) -> Bools:
+def _live(problem: FitProblem, theta: Array) -> Bools:
     """Held motors ``(sweeps, n)`` whose joint's torque the model, its clearances closed, lets change tellably."""
-    rows, n, count = experiment.rows, experiment.rows.robot.n, len(experiment.slots)
+    rows, n, count = problem.rows, problem.rows.robot.n, len(problem.slots)
     keys, run = rows.series.offset_keys, rows.series.run
-    angle, _ = standing_angles(rows, experiment.chain, theta[:count], np.zeros((len(rows), n)))
-    torque = -np.linalg.solve(_strained(experiment, theta[:count]), angle[:, :, None])[:, :, 0]
+    angle, _ = standing_angles(rows, problem.chain, theta[:count], np.zeros((len(rows), n)))
+    torque = -np.linalg.solve(_strained(problem, theta[:count]), angle[:, :, None])[:, :, 0]
     limit = rows.sigma / np.abs(np.diag(np.asarray(rows.robot.transmission)))
     out = np.zeros((int(run.max()) + 1, n), dtype=bool)
     for s, k in keys[keys[:, 1] >= n]:
@@ -169,11 +169,11 @@ def _live(experiment: FitProblem, theta: Array) -> Bools:
     return out
 
 
-def _strained(experiment: FitProblem, theta: Array) -> Array:
+def _strained(problem: FitProblem, theta: Array) -> Array:
     """The balance by torque ``(N, n, n)``, rad/Nm, where no joint is in its clearance."""
-    rows = experiment.rows
+    rows = problem.rows
     far = np.tile(rows.sweep.rated, (len(rows), 1))
-    return standing_angles(rows, experiment.chain, theta, far)[1]
+    return standing_angles(rows, problem.chain, theta, far)[1]
 
 
 def _stands(sweeps: _Sweeps, live: Bools) -> Iterator[tuple[int, list[list[int]]]]:
@@ -255,7 +255,7 @@ class _Table:
 
     @classmethod
     def of(cls, sweeps: _Sweeps, own: Array, motor: int) -> _Table:
-        rows, chain, keys = sweeps.rows, sweeps.experiment.chain, sweeps.keys
+        rows, chain, keys = sweeps.rows, sweeps.problem.chain, sweeps.keys
         T = np.asarray(rows.robot.transmission)
         inverse = np.asarray(np.linalg.inv(T), dtype=float)
         residual, _ = residual_by_angle(rows, chain, sweeps.theta, own)
@@ -266,7 +266,7 @@ class _Table:
         run, counts = rows.series.run, rows.used.all(axis=1)
         return cls(
             sweeps, motor, kept, torque, np.sqrt(rows.sigma**2 @ (inverse**2).T), inverse[:, motor],
-            T @ np.linalg.inv(_strained(sweeps.experiment, sweeps.theta)),
+            T @ np.linalg.inv(_strained(sweeps.problem, sweeps.theta)),
             tuple(np.flatnonzero((run == s) & counts) for s in range(len(kept))),
         )  # fmt: skip
 
@@ -291,9 +291,9 @@ class _Table:
         """What changed frictions ``(sweeps,)`` leave of the balance, by sweep: chi-square, crossed or not, angles."""
         rows, theta = self.sweeps.rows, self.sweeps.theta
         torque = self.torque - change[rows.series.run, None] * self.lever
-        angle, _ = standing_angles(rows, self.sweeps.experiment.chain, theta, torque)
+        angle, _ = standing_angles(rows, self.sweeps.problem.chain, theta, torque)
         side = torque / np.sqrt(torque**2 + rows.signals["rest_direction"] ** 2)
-        gap = np.where(np.abs(torque) < UNCLEAR_SIGN * self.spread, self.sweeps.experiment.clearances(theta), 0.0)
+        gap = np.where(np.abs(torque) < UNCLEAR_SIGN * self.spread, self.sweeps.problem.clearances(theta), 0.0)
         low, high = angle - 0.5 * gap * (1.0 - side), angle + 0.5 * gap * (1.0 + side)
         n, count = torque.shape[1], len(change)
         left, crossed, angles = np.full(count, np.inf), np.zeros(count, dtype=bool), np.zeros((count, n))

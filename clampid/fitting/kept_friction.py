@@ -28,7 +28,7 @@ def with_kept_friction(estimate: Estimate) -> Estimate:
 
     Unchanged where no slip is fitted. Torques about the arm's joints are related to those at the motors by T.
     """
-    effects = estimate.experiment.effects
+    effects = estimate.problem.effects
     covariance = estimate.covariance.copy()
     for name in dict.fromkeys(slot.effect for slot in estimate.slots):
         if effects[name].event is None:
@@ -41,17 +41,17 @@ def with_kept_friction(estimate: Estimate) -> Estimate:
 
 def _open(estimate: Estimate, at: float) -> Array:
     """Second moment ``(6, 6)`` of what a slip at that ``sweep_progress`` may differ by, (w, v), rad and m."""
-    experiment, n = estimate.experiment, estimate.experiment.rows.robot.n
-    rows, count = experiment.rows, len(estimate.slots)
+    problem, n = estimate.problem, estimate.problem.rows.robot.n
+    rows, count = problem.rows, len(estimate.slots)
     mine = np.flatnonzero(rows.series.run == int(at))
     after = int(np.searchsorted(rows.signals["sweep_progress"][mine], at))
     if not 0 < after < len(mine):
         return np.zeros((6, 6))
     beside = mine[[after - 1, after]]
     theta, offsets = estimate.theta[:count], estimate.theta[count:]
-    torque = joint_torques(rows, experiment.chain, theta, offsets)[beside]
+    torque = joint_torques(rows, problem.chain, theta, offsets)[beside]
     kept = rows.offset_table(offsets, 2)[beside[0], n:]
-    gap = experiment.clearances(theta)
+    gap = problem.clearances(theta)
     held = ~np.any(rows.signals["motor_motion"][mine] != 0.0, axis=0)
     limit = np.where(held, rows.sweep.held_friction, 0.0)
     drawn = np.where(held, np.random.default_rng(SEED).choice([-1.0, 1.0], (FRICTION_DRAWS, n)) * limit, kept)

@@ -78,7 +78,7 @@ def by_springs(columns: Array, torques: Array, normal: Array, precision: Array) 
 
 def rows_by_springs(estimate: Estimate) -> Array | None:
     """B ``(P, n)`` of a fit of rows of torque logs; None where no link is known to weigh anything."""
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     chosen = sampled_rows(rows)
     part, count = rows.take(chosen), len(estimate.slots)
     torques = np.zeros((len(part), rows.robot.n, rows.robot.n))
@@ -88,7 +88,7 @@ def rows_by_springs(estimate: Estimate) -> Array | None:
         torques[own] = spring_torques(rows.robot, weight, gravity, part.signals["q"][own])
     if not torques.any():
         return None
-    trial = estimate.experiment.with_rows(part)
+    trial = estimate.problem.with_rows(part)
     _, jacobian = trial.residual(np.r_[estimate.theta[:count], np.zeros(trial.offsets)])
     noise = estimate.noise.sigma[chosen][:, :, None]
     columns, torques = ((v / noise)[part.used] for v in (jacobian[:, :, :count], torques))

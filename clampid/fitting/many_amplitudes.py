@@ -25,11 +25,11 @@ from clampid.stages.rows import Array, Integers
 __all__ = ["AmplitudePoint", "has_many_amplitudes"]
 
 
-def has_many_amplitudes(experiment: FitProblem, noise: Noise) -> bool:
-    """Whether normal equations of this experiment are found faster by stations."""
-    if not experiment.kind.points or noise.autocorrelations or noise.wander:
+def has_many_amplitudes(problem: FitProblem, noise: Noise) -> bool:
+    """Whether normal equations of this problem are found faster by stations."""
+    if not problem.kind.points or noise.autocorrelations or noise.wander:
         return False
-    return bool(np.bincount(experiment.chain.station, minlength=1).max() >= poses.PARAMETERS_OF_A_LARGE_CHAIN)
+    return bool(np.bincount(problem.chain.station, minlength=1).max() >= poses.PARAMETERS_OF_A_LARGE_CHAIN)
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class AmplitudePoint:
     ``sensitivity`` ``(N, m, S)`` is the derivative of the measurements by the stations.
     """
 
-    experiment: FitProblem
+    problem: FitProblem
     noise: Noise
     theta: Array
     residual: Array
@@ -47,17 +47,17 @@ class AmplitudePoint:
     deviations: Deviations
 
     @staticmethod
-    def at(experiment: FitProblem, noise: Noise, theta: Array) -> AmplitudePoint:
-        """The point of an experiment of poses, flanks as they are held."""
-        deviations = poses.evaluate(experiment.rows, experiment.chain, theta)
-        return AmplitudePoint(experiment, noise, theta, *poses.by_station(experiment.rows, deviations), deviations)
+    def at(problem: FitProblem, noise: Noise, theta: Array) -> AmplitudePoint:
+        """The point of a problem of poses, flanks as they are held."""
+        deviations = poses.evaluate(problem.rows, problem.chain, theta)
+        return AmplitudePoint(problem, noise, theta, *poses.by_station(problem.rows, deviations), deviations)
 
     @cached_property
     def white(self) -> Whitened:
         """Residual and Jacobian, whitened; the latter is made when it is asked for."""
-        channel, entry = np.nonzero(self.experiment.rows.used.T)
+        channel, entry = np.nonzero(self.problem.rows.used.T)
         known = self.__dict__.get("_normal", (None, None))[0]
-        late = _Jacobian(self.experiment, self.noise, self.theta, known)
+        late = _Jacobian(self.problem, self.noise, self.theta, known)
         return Whitened(self._residual[entry, channel], late, entry, channel)
 
     @property
@@ -68,7 +68,7 @@ class AmplitudePoint:
     @property
     def count(self) -> int:
         """How many there are."""
-        return int(self.experiment.rows.used.sum())
+        return int(self.problem.rows.used.sum())
 
     def normal(self) -> tuple[Array, Array]:
         """Normal matrix ``(P, P)`` and downhill gradient ``(P,)``."""
@@ -79,7 +79,7 @@ class AmplitudePoint:
         d = self.deviations
         pull = np.einsum("nms,nm->ns", self._levers, self._residual)
         out = np.zeros(len(self.theta))
-        for a, run in self.experiment.chain.runs:
+        for a, run in self.problem.chain.runs:
             np.add.at(out, d.parameter[run], d.partials[:, run].T @ pull[:, a])
         return out
 
@@ -101,7 +101,7 @@ class AmplitudePoint:
 
     def _whitened(self, values: Array) -> Array:
         """Numbers ``(N, m, …)`` in units of their noise, zero where they are not used."""
-        rows = self.experiment.rows
+        rows = self.problem.rows
         weight = np.where(rows.used, 1.0 / self.noise.sigma, 0.0)
         return np.asarray(rows.in_noise_axes(values) * weight.reshape(weight.shape + (1,) * (values.ndim - 2)))
 
@@ -109,9 +109,7 @@ class AmplitudePoint:
     def _normal(self) -> tuple[Array, Array]:
         d, s = self.deviations, self._levers
         many = [
-            (a, run)
-            for a, run in self.experiment.chain.runs
-            if run.stop - run.start >= poses.PARAMETERS_OF_A_LARGE_CHAIN
+            (a, run) for a, run in self.problem.chain.runs if run.stop - run.start >= poses.PARAMETERS_OF_A_LARGE_CHAIN
         ]
         apart = np.ones(len(d.station), dtype=bool)
         for _, run in many:
@@ -141,7 +139,7 @@ class AmplitudePoint:
 class _Jacobian:
     """The whitened Jacobian of a point, as :class:`clampid.fitting.noise.Late` has it, made of what the point is at."""
 
-    experiment: FitProblem
+    problem: FitProblem
     noise: Noise
     theta: Array
     square: Array | None
@@ -152,13 +150,13 @@ class _Jacobian:
 
     @property
     def _point(self) -> AmplitudePoint:
-        return AmplitudePoint.at(self.experiment, self.noise, self.theta)
+        return AmplitudePoint.at(self.problem, self.noise, self.theta)
 
     def dense(self) -> Array:
         """J ``(M, P)``."""
         point = self._point
-        channel, entry = np.nonzero(self.experiment.rows.used.T)
-        return poses.by_parameter(point._levers, point.deviations, self.experiment.chain)[entry, channel]
+        channel, entry = np.nonzero(self.problem.rows.used.T)
+        return poses.by_parameter(point._levers, point.deviations, self.problem.chain)[entry, channel]
 
 
 def _columns(s: Array, d: Deviations, entries: Integers) -> tuple[Integers, Array]:

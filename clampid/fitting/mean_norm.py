@@ -53,16 +53,14 @@ def mean_norm(estimate: Estimate) -> Estimate:
     FitError
         It is no fit of poses, or SLSQP does not converge.
     """
-    if not estimate.experiment.kind.points:
-        raise FitError(
-            f"the mean norm is of measured points: expected the stage poses, found {estimate.experiment.stage}"
-        )
-    rows = estimate.experiment.rows
+    if not estimate.problem.kind.points:
+        raise FitError(f"the mean norm is of measured points: expected the stage poses, found {estimate.problem.stage}")
+    rows = estimate.problem.rows
     if rows.ranged.any():
         raise FitError("the mean norm is of measured points: expected no table distances, found one")
     used = rows.used.copy()
     used[:, 3:] = False
-    trial = estimate.experiment.with_rows(replace(rows, used=used))
+    trial = estimate.problem.with_rows(replace(rows, used=used))
     sigma = float(np.sqrt(np.mean(estimate.residual[used[:, 0], :3] ** 2)))
     kappa = CURVATURE_OF_NORM * sigma
     theta = settled(
@@ -78,7 +76,7 @@ def mean_norm(estimate: Estimate) -> Estimate:
     point = stage_point(held, noise, theta)
     return replace(
         estimate,
-        experiment=trial,
+        problem=trial,
         theta=theta,
         covariance=_covariance(held, theta, estimate.prior_precision, kappa, LEAST_RESIDUAL * sigma),
         noise=noise,
@@ -90,7 +88,7 @@ def mean_norm(estimate: Estimate) -> Estimate:
 
 def compared(estimate: Estimate, squares: Estimate) -> dict[str, dict[str, float | None]]:
     """P_mean, P_std and P_max, m, of the fitted points by the mean norm, and by least squares beside it."""
-    used = estimate.experiment.rows.used[:, 0]
+    used = estimate.problem.rows.used[:, 0]
     fits = {"mean-norm": estimate, "least-squares": squares}
     return {name: norm_metrics(np.linalg.norm(e.residual[used, :3], axis=1)) for name, e in fits.items()}
 

@@ -24,17 +24,17 @@ def null_directions(estimate: Estimate, limit: int = 12) -> tuple[str, ...]:
     In units of reasonable sizes the information of the data has eigenvalues; one below 1 means that the combination is
     not known to within such a size. Parameters with no information at all are named alone.
     """
-    size = estimate.experiment.sizes()
+    size = estimate.problem.sizes()
     information = estimate.whitened.normal * np.outer(size, size)
     return named_directions(
-        information, size, estimate.slots, estimate.prior_precision, assumed_of(estimate.experiment), limit
+        information, size, estimate.slots, estimate.prior_precision, assumed_of(estimate.problem), limit
     )
 
 
-def assumed_of(experiment: FitProblem) -> Bools:
-    """Which of an experiment's slots ``(P,)`` a prior of their own keeps apart from each other."""
-    count = len(experiment.slots)
-    return np.asarray((experiment.prior_std() <= experiment.sizes())[:count] & ~experiment.shapes()[:count])
+def assumed_of(problem: FitProblem) -> Bools:
+    """Which of a problem's slots ``(P,)`` a prior of their own keeps apart from each other."""
+    count = len(problem.slots)
+    return np.asarray((problem.prior_std() <= problem.sizes())[:count] & ~problem.shapes()[:count])
 
 
 def named_directions(

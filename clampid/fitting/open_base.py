@@ -139,34 +139,34 @@ def _turned(rows: Rows, turn: OpenTurn, angles: Array) -> Rows:
     return replace(rows, constants=replace(rows.pose, base_reference=reference))
 
 
-def from_likeliest_turn(experiment: FitProblem, priors: Sequence[Prior]) -> Rows:
-    """The experiment's rows with each open base turned to where they are likeliest, by one step of a fit at each turn.
+def from_likeliest_turn(problem: FitProblem, priors: Sequence[Prior]) -> Rows:
+    """The problem's rows with each open base turned to where they are likeliest, by one step of a fit at each turn.
 
     At the right turn one step is nearly the whole way: a described robot is nearly the robot. Elsewhere it leaves more.
     """
-    rows = experiment.rows
+    rows = problem.rows
     for turn in open_turns(rows):
         if len(turn.axes) == 1:
             reach = min(np.pi, 3.0 * float(turn.std[0]))
             step = 2.0 * reach / COARSE
             coarse = np.linspace(-reach, reach, COARSE, endpoint=False)[:, None]
-            best = _likeliest(experiment, rows, turn, np.vstack([np.zeros((1, 1)), coarse]), priors)
+            best = _likeliest(problem, rows, turn, np.vstack([np.zeros((1, 1)), coarse]), priors)
             fine = best + np.linspace(-0.5, 0.5, FINE)[:, None] * step
-            best = _likeliest(experiment, rows, turn, fine, priors)
+            best = _likeliest(problem, rows, turn, fine, priors)
         else:
             drawn = _draws(turn, np.random.default_rng(SEED), SEVERAL)
-            best = _likeliest(experiment, rows, turn, np.vstack([np.zeros((1, len(turn.axes))), drawn]), priors)
+            best = _likeliest(problem, rows, turn, np.vstack([np.zeros((1, len(turn.axes))), drawn]), priors)
         rows = _turned(rows, turn, best)
     return rows
 
 
-def _likeliest(experiment: FitProblem, rows: Rows, turn: OpenTurn, angles: Array, priors: Sequence[Prior]) -> Array:
-    precision, mean = prior_of(experiment, priors)
-    theta, noise = start_of(experiment, None, priors), initial_noise(rows)
-    mean = np.where(experiment.fixed(), theta, mean)
+def _likeliest(problem: FitProblem, rows: Rows, turn: OpenTurn, angles: Array, priors: Sequence[Prior]) -> Array:
+    precision, mean = prior_of(problem, priors)
+    theta, noise = start_of(problem, None, priors), initial_noise(rows)
+    mean = np.where(problem.fixed(), theta, mean)
 
     def cost(angle: Array) -> float:
-        there = experiment.with_rows(_turned(rows, turn, angle))
+        there = problem.with_rows(_turned(rows, turn, angle))
         at = _stepped(there, noise, theta, precision, mean)
         off = at - mean
         return stage_point(there, noise, at).cost + float(off @ precision @ off)
@@ -174,9 +174,9 @@ def _likeliest(experiment: FitProblem, rows: Rows, turn: OpenTurn, angles: Array
     return np.asarray(angles[int(np.argmin([cost(a) for a in angles]))])
 
 
-def _stepped(experiment: FitProblem, noise: Noise, theta: Array, precision: Array, mean: Array) -> Array:
+def _stepped(problem: FitProblem, noise: Noise, theta: Array, precision: Array, mean: Array) -> Array:
     """Where one step of Gauss and Newton leads from ``theta`` ``(P,)``."""
-    A, g = stage_point(experiment, noise, theta).normal()
+    A, g = stage_point(problem, noise, theta).normal()
     size = 1.0 / np.sqrt(np.maximum(np.diag(A + precision), 1e-300))
     scaled = (A + precision) * np.outer(size, size)
     step = linalg.lstsq(scaled, size * (g - precision @ (theta - mean)))[0]
@@ -191,7 +191,7 @@ def _draws(turn: OpenTurn, rng: np.random.Generator, count: int) -> Array:
 
 def with_open_base(estimate: Estimate) -> Estimate:
     """The same pose fit with what open turns of the base leave open of all parameters in its covariance."""
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     turns = open_turns(rows)
     if not turns:
         return estimate
@@ -209,7 +209,7 @@ def with_open_base(estimate: Estimate) -> Estimate:
                 slot = slot_of("base_frame", rows.layout.sessions[turn.session], name)
                 if slot in index:
                     off[k, index[slot]] += value
-        trial = estimate.experiment.with_rows(there)
+        trial = estimate.problem.with_rows(there)
         at = _stepped(trial, estimate.noise, estimate.theta, estimate.prior_precision, estimate.prior_mean)
         off[k] += at - estimate.theta
     return replace(estimate, covariance=estimate.covariance + off.T @ off / BASE_DRAWS)

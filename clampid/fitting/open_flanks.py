@@ -41,7 +41,7 @@ def with_open_flanks(estimate: Estimate) -> Estimate:
 
     Unchanged where no lean turns any flank, or where the fit leaves more than noise: flanks would explain that too.
     """
-    rows, level = estimate.experiment.rows, estimate.experiment.leaning(None)
+    rows, level = estimate.problem.rows, estimate.problem.leaning(None)
     pressing = poses.pressing(rows, level.chain, estimate.theta) if rows.kind.points else None
     gaps = {} if pressing is None else _unloaded(estimate, pressing)
     if not gaps or pressing is None:
@@ -69,16 +69,16 @@ def with_open_flanks(estimate: Estimate) -> Estimate:
 
 def _more_than_noise(estimate: Estimate) -> bool:
     """Whether more than half of the squares that a fit leaves is not the instrument's noise, as its maker states it."""
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     white = (rows.in_noise_axes(estimate.residual) / rows.sigma)[rows.used]
     return float(np.mean(white**2)) > 2.0
 
 
 def _unloaded(estimate: Estimate, pressing: Array) -> Mapping[int, int]:
     """Joint -> slot of its clearance, of joints that stand in every pose on the flank that they came from."""
-    direction = estimate.experiment.rows.signals["direction"]
+    direction = estimate.problem.rows.signals["direction"]
     decided = ((pressing * direction > 0) | (direction == 0)).all(axis=0) & direction.any(axis=0)
-    clearances = estimate.experiment.numbers_of("clearance")
+    clearances = estimate.problem.numbers_of("clearance")
     slots = {int(estimate.slots[k].place.removeprefix("joint")) - 1: k for k in clearances}
     return {joint: k for joint, k in slots.items() if decided[joint]}
 
@@ -89,7 +89,7 @@ def _turned(estimate: Estimate, joints: Sequence[int], pressing: Array, first: I
     Leans are those that do the same beside the friction that the fit has: dry friction that was fitted, on top of what
     any bearing has.
     """
-    signals, rng = estimate.experiment.rows.signals, np.random.default_rng(SEED)
+    signals, rng = estimate.problem.rows.signals, np.random.default_rng(SEED)
     least = np.abs(signals["rest_direction"]).max(axis=0)[joints]
     values = estimate.values()
     own = [values.get(slot_of("arm_friction", f"joint{j + 1}"), 0.0) for j in joints]

@@ -39,39 +39,39 @@ class LinearPart:
         ``(N, n, C)``, Nm: the prediction's derivative.
     """
 
-    experiment: FitProblem
+    problem: FitProblem
     linear: Integers
     other: Integers
     residual: Array
     columns: Array
 
     @staticmethod
-    def of(experiment: FitProblem, at: Array) -> LinearPart:
-        """The linear part of an experiment of ``free_air``, found at any parameters ``(P + K,)``."""
-        bends = np.r_[experiment.chain.bends, np.zeros(experiment.offsets, dtype=bool)]
+    def of(problem: FitProblem, at: Array) -> LinearPart:
+        """The linear part of a problem of ``free_air``, found at any parameters ``(P + K,)``."""
+        bends = np.r_[problem.chain.bends, np.zeros(problem.offsets, dtype=bool)]
         linear, other = np.flatnonzero(~bends), np.flatnonzero(bends)
-        residual, jacobian = experiment.residual(at)
+        residual, jacobian = problem.residual(at)
         columns = jacobian if not len(other) else jacobian[:, :, linear]
         left = residual + columns @ at[linear]
         if len(other):
-            left -= _bent(experiment).error(np.r_[at[other], np.zeros(experiment.offsets)])
-        return LinearPart(experiment, linear, other, left, columns)
+            left -= _bent(problem).error(np.r_[at[other], np.zeros(problem.offsets)])
+        return LinearPart(problem, linear, other, left, columns)
 
-    def serves(self, experiment: FitProblem) -> bool:
-        """Whether another experiment has the same effects and rows, of which others may be used."""
-        mine, theirs = self.experiment.rows, experiment.rows
+    def serves(self, problem: FitProblem) -> bool:
+        """Whether another problem has the same effects and rows, of which others may be used."""
+        mine, theirs = self.problem.rows, problem.rows
         same_rows = mine.signals is theirs.signals and mine.measured is theirs.measured
-        return self.experiment.chain is experiment.chain and same_rows
+        return self.problem.chain is problem.chain and same_rows
 
     def left(self, theta: Array) -> Array:
         """The residual ``(N, n)``, Nm, at parameters ``(P + K,)``, less that of V alone."""
         return np.asarray(self.residual - self.columns @ theta[self.linear])
 
 
-def _bent(experiment: FitProblem) -> FitProblem:
-    """The experiment with the parameters V alone."""
-    chain = experiment.chain.bent
-    return replace(experiment, slots=chain.slots, chain=chain)
+def _bent(problem: FitProblem) -> FitProblem:
+    """The problem with the parameters V alone."""
+    chain = problem.chain.bent
+    return replace(problem, slots=chain.slots, chain=chain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class PartedLog:
     Attributes
     ----------
     bent
-        The experiment with the parameters V alone.
+        The problem with the parameters V alone.
     part
         What the others do.
     start
@@ -97,11 +97,11 @@ class PartedLog:
     white: Whitened
 
     @staticmethod
-    def of(experiment: FitProblem, noise: Noise, start: Array, part: LinearPart | None = None) -> PartedLog:
-        """The log of an experiment of ``free_air`` that has linear parameters, of which the ``part`` may be known."""
-        part = part or LinearPart.of(experiment, start)
-        white = noise.whiten(experiment.rows, part.left(start), part.columns)
-        return PartedLog(_bent(experiment), noise, part, start, white)
+    def of(problem: FitProblem, noise: Noise, start: Array, part: LinearPart | None = None) -> PartedLog:
+        """The log of a problem of ``free_air`` that has linear parameters, of which the ``part`` may be known."""
+        part = part or LinearPart.of(problem, start)
+        white = noise.whiten(problem.rows, part.left(start), part.columns)
+        return PartedLog(_bent(problem), noise, part, start, white)
 
     def at(self, theta: Array) -> PartedPoint:
         """The log at other parameters ``(P + K,)``."""

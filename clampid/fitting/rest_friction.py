@@ -70,7 +70,7 @@ class RestFriction:
 
 
 def with_rest_friction(
-    experiment: FitProblem, priors: Sequence[Prior], start: Mapping[Slot, float], *, anew: bool = False
+    problem: FitProblem, priors: Sequence[Prior], start: Mapping[Slot, float], *, anew: bool = False
 ) -> RestFriction:
     """Seek the frictions that decide on flanks and of which nothing but the poses tells.
 
@@ -84,19 +84,19 @@ def with_rest_friction(
     clampid.fitting.solve.FitError
         The model gives no finite prediction.
     """
-    open_ = _open(experiment, priors)
+    open_ = _open(problem, priors)
     if not open_:
         return RestFriction(start, None)
-    theta = start_of(experiment, start, priors)
-    if not anew and all(experiment.slots[k] in start for k in open_):
-        places = {experiment.slots[k].place for k in open_}
-        added = [s for s in experiment.slots if s not in start]
-        if any(s.place in places and has_role(s, "clearance", effects=experiment.effects) for s in added):
+    theta = start_of(problem, start, priors)
+    if not anew and all(problem.slots[k] in start for k in open_):
+        places = {problem.slots[k].place for k in open_}
+        added = [s for s in problem.slots if s not in start]
+        if any(s.place in places and has_role(s, "clearance", effects=problem.effects) for s in added):
             return RestFriction(start, None)
         if not added:
-            free = _misses(experiment, experiment.error(theta))
-            return RestFriction(start, None if free else _held(experiment, open_, theta))
-    estimate = _solved(experiment, priors, open_, theta)
+            free = _misses(problem, problem.error(theta))
+            return RestFriction(start, None if free else _held(problem, open_, theta))
+    estimate = _solved(problem, priors, open_, theta)
     for _ in range(ROUNDS_OF_JOINTS):
         before = estimate
         for k in open_:
@@ -105,18 +105,18 @@ def with_rest_friction(
                 continue
             at = estimate.theta.copy()
             at[k] = value
-            found = _solved(experiment, priors, open_, at)
+            found = _solved(problem, priors, open_, at)
             if _cost(found) < _cost(estimate) - BETTER:
                 estimate = found
         if estimate is before:
             break
-    held = _held(experiment, open_, estimate.theta)
-    return RestFriction(estimate.values(), None if _misses(experiment, estimate.residual) else held)
+    held = _held(problem, open_, estimate.theta)
+    return RestFriction(estimate.values(), None if _misses(problem, estimate.residual) else held)
 
 
-def _misses(experiment: FitProblem, residual: Array) -> bool:
+def _misses(problem: FitProblem, residual: Array) -> bool:
     """Whether two thirds of the squares left ``(N, m)`` are not the instrument's noise, lost points not counted."""
-    white = (experiment.rows.in_noise_axes(residual) / experiment.rows.sigma)[experiment.rows.used]
+    white = (problem.rows.in_noise_axes(residual) / problem.rows.sigma)[problem.rows.used]
     return float(NORMAL * np.median(np.abs(white))) ** 2 > MISSES
 
 
@@ -137,21 +137,21 @@ def with_open_friction(estimate: Estimate, held: Prior | None) -> Estimate:
     return replace(estimate, covariance=covariance)
 
 
-def _open(experiment: FitProblem, priors: Sequence[Prior]) -> list[int]:
+def _open(problem: FitProblem, priors: Sequence[Prior]) -> list[int]:
     """Numbers of the frictions that decide on flanks, with no prior of their own.
 
     A joint's load must be one that they can be compared with: one that is always the same turns all flanks or none.
     """
-    if not experiment.kind.points or not experiment.chain.reads_flanks or not experiment.rows.used.any():
+    if not problem.kind.points or not problem.chain.reads_flanks or not problem.rows.used.any():
         return []
     known = {slot for prior in priors for slot in prior.slots}
-    signals = experiment.rows.signals
+    signals = problem.rows.signals
     contrary = signals["gravity_torque"] * signals["direction"] < 0.0
     load = np.where(contrary, np.abs(signals["gravity_torque"]) - np.abs(signals["rest_direction"]), 0.0)
     out = []
-    play = {experiment.slots[k].place for k in experiment.numbers_of("clearance")}
-    for k in experiment.numbers_of("arm_friction"):
-        slot = experiment.slots[k]
+    play = {problem.slots[k].place for k in problem.numbers_of("clearance")}
+    for k in problem.numbers_of("arm_friction"):
+        slot = problem.slots[k]
         if slot in known or slot.place not in play:
             continue
         joint = int(slot.place.removeprefix("joint")) - 1
@@ -161,21 +161,21 @@ def _open(experiment: FitProblem, priors: Sequence[Prior]) -> list[int]:
     return out
 
 
-def _held(experiment: FitProblem, open_: Sequence[int], theta: Array) -> Prior:
-    tight = HELD_STD * experiment.sizes()[list(open_)]
-    return Prior(tuple(experiment.slots[k] for k in open_), theta[list(open_)], np.diag(tight**2))
+def _held(problem: FitProblem, open_: Sequence[int], theta: Array) -> Prior:
+    tight = HELD_STD * problem.sizes()[list(open_)]
+    return Prior(tuple(problem.slots[k] for k in open_), theta[list(open_)], np.diag(tight**2))
 
 
-def _solved(experiment: FitProblem, priors: Sequence[Prior], open_: Sequence[int], theta: Array) -> Estimate:
-    precision, mean = prior_of(experiment, (*priors, _held(experiment, open_, theta)))
-    mean = np.where(experiment.fixed(), theta, mean)
-    return solve(experiment, theta, initial_noise(experiment.rows), precision, mean)
+def _solved(problem: FitProblem, priors: Sequence[Prior], open_: Sequence[int], theta: Array) -> Estimate:
+    precision, mean = prior_of(problem, (*priors, _held(problem, open_, theta)))
+    mean = np.where(problem.fixed(), theta, mean)
+    return solve(problem, theta, initial_noise(problem.rows), precision, mean)
 
 
 def _cost(estimate: Estimate) -> float:
     """Whitened squares of rows and priors, of held frictions as if they were not."""
-    assumed, mean = estimate.experiment.prior()
-    frictions = estimate.experiment.numbers_of("arm_friction")
+    assumed, mean = estimate.problem.prior()
+    frictions = estimate.problem.numbers_of("arm_friction")
     weak = sum(assumed[k, k] * (estimate.theta[k] - mean[k]) ** 2 for k in frictions)
     return estimate.cost + float(weak)
 
@@ -212,18 +212,18 @@ class _Profile:
     @classmethod
     def of(cls, estimate: Estimate, friction: int) -> _Profile:
         joint = int(estimate.slots[friction].place.removeprefix("joint")) - 1
-        clearances = estimate.experiment.numbers_of("clearance")
+        clearances = estimate.problem.numbers_of("clearance")
         gap = next(k for k in clearances if estimate.slots[k].place == f"joint{joint + 1}")
-        row, visit = np.unique(estimate.experiment.rows.unit, return_index=True, return_inverse=True)[1:]
+        row, visit = np.unique(estimate.problem.rows.unit, return_index=True, return_inverse=True)[1:]
         none = estimate.theta.copy()
         none[friction] = 0.0
         pressing = _pressing(estimate, none)
-        direction = estimate.experiment.rows.signals["direction"][row, joint]
+        direction = estimate.problem.rows.signals["direction"][row, joint]
         without, fitted = pressing[row, joint], _pressing(estimate, estimate.theta)[row, joint]
         contrary = np.flatnonzero(without * direction < 0.0)  # what presses against the direction, friction turns
         order = contrary[np.argsort(np.abs(without[contrary]), kind="stable")]
         value, width, after = _values(
-            np.abs(without[order]), TAIL_DEVIATIONS * float(estimate.experiment.prior_std()[friction])
+            np.abs(without[order]), TAIL_DEVIATIONS * float(estimate.problem.prior_std()[friction])
         )
         side = np.where(without * fitted < 0.0, -1.0, 1.0)
         loose = _Loose.of(estimate, friction, gap)
@@ -237,7 +237,7 @@ class _Profile:
 
 def _pressing(estimate: Estimate, theta: Array) -> Array:
     """What presses on the flanks ``(N, n)``, Nm."""
-    found = poses.pressing(estimate.experiment.rows, estimate.experiment.chain, theta)
+    found = poses.pressing(estimate.problem.rows, estimate.problem.chain, theta)
     if found is None:
         raise ValueError("expected a fit with clearances that follow the flanks, found none")
     return found
@@ -288,7 +288,7 @@ class _Loose:
     def of(cls, estimate: Estimate, friction: int, gap: int) -> _Loose:
         white, theta = estimate.whitened, estimate.theta
         precision, mean = estimate.prior_precision.copy(), estimate.prior_mean.copy()
-        assumed, at_first = estimate.experiment.prior()
+        assumed, at_first = estimate.problem.prior()
         precision[friction], precision[:, friction] = 0.0, 0.0
         precision[friction, friction], mean[friction] = assumed[friction, friction], at_first[friction]
         scale = np.sqrt(np.diag(precision))
@@ -360,19 +360,18 @@ def _seals(estimate: Estimate, joint: int) -> float:
 
     A lip rubs with the square of the shaft's diameter, of which the third power bears the torque.
     """
-    rest = np.abs(estimate.experiment.rows.signals["rest_direction"][:, joint]).max()
+    rest = np.abs(estimate.problem.rows.signals["rest_direction"][:, joint]).max()
     return float(LIPS * LIP * (rest / REST_FRICTION / RATED) ** (2.0 / 3.0))
 
 
 def _load_variance(estimate: Estimate, joint: int) -> float:
     """Variance of a joint's load, Nm², as far as masses are not known: friction shows only beside it."""
-    masses = estimate.experiment.numbers_of(*WEIGHTS, per="link")
+    masses = estimate.problem.numbers_of(*WEIGHTS, per="link")
     if not masses:
         return 0.0
     part = {"": 0, "x": 1, "y": 2, "z": 3}  # axis of a first moment; none of a mass
     at = [
-        (int(estimate.slots[k].place.removeprefix("link")), part[estimate.experiment.parameters[k].axis])
-        for k in masses
+        (int(estimate.slots[k].place.removeprefix("link")), part[estimate.problem.parameters[k].axis]) for k in masses
     ]
-    Y = estimate.experiment.rows.signals["regressor"][:, joint][:, [4 * (link - 1) + p for link, p in at]]
+    Y = estimate.problem.rows.signals["regressor"][:, joint][:, [4 * (link - 1) + p for link, p in at]]
     return float(np.mean(np.einsum("np,pq,nq->n", Y, estimate.covariance[np.ix_(masses, masses)], Y)))

@@ -46,7 +46,7 @@ class Estimate:
 
     Attributes
     ----------
-    experiment
+    problem
         What was fitted; its rows are marked with the outliers found.
     theta, covariance
         ``(P + K,)`` and ``(P + K, P + K)``: values and covariance, SI.
@@ -64,7 +64,7 @@ class Estimate:
         In poses, how the noise is shared between the measurement and the robot's own repeatability, where told.
     """
 
-    experiment: FitProblem
+    problem: FitProblem
     theta: Array
     covariance: Array
     noise: Noise
@@ -79,7 +79,7 @@ class Estimate:
     @property
     def slots(self) -> tuple[Slot, ...]:
         """The slots of the first P parameters."""
-        return self.experiment.slots
+        return self.problem.slots
 
     @property
     def std(self) -> Array:
@@ -89,7 +89,7 @@ class Estimate:
     @property
     def identified(self) -> Bools:
         """Which parameters ``(P + K,)`` the rows determine to within their reasonable size."""
-        return self.std < self.experiment.clear()
+        return self.std < self.problem.clear()
 
     @property
     def cost(self) -> float:
@@ -139,7 +139,7 @@ class StagePoint:
         return covariance_of(self.matrix, precision, self.cost, self.count)
 
 
-def stage_point(experiment: FitProblem, noise: Noise, theta: Array) -> StagePoint:
+def stage_point(problem: FitProblem, noise: Noise, theta: Array) -> StagePoint:
     """One stage at ``theta`` ``(P + K,)``, flanks as they are held.
 
     Raises
@@ -147,9 +147,9 @@ def stage_point(experiment: FitProblem, noise: Noise, theta: Array) -> StagePoin
     FitError
         The model gives no finite prediction.
     """
-    residual, jacobian = experiment.residual(theta)
-    _must_be_finite(experiment, residual)
-    return StagePoint(theta, residual, noise.whiten(experiment.rows, residual, jacobian))
+    residual, jacobian = problem.residual(theta)
+    _must_be_finite(problem, residual)
+    return StagePoint(theta, residual, noise.whiten(problem.rows, residual, jacobian))
 
 
 @dataclass
@@ -172,57 +172,57 @@ class Shared:
         """A normal matrix ``(P, P)`` of an earlier search."""
         return Shared(Chord(AmplitudePoint.gradient, matrix))
 
-    def linear_part(self, experiment: FitProblem, at: Array) -> LinearPart:
-        """The linear part of a log's experiment, found at ``(P + K,)`` if it is not known."""
-        if self.part is None or not self.part.serves(experiment):
-            self.part = LinearPart.of(experiment, at)
+    def linear_part(self, problem: FitProblem, at: Array) -> LinearPart:
+        """The linear part of a log's problem, found at ``(P + K,)`` if it is not known."""
+        if self.part is None or not self.part.serves(problem):
+            self.part = LinearPart.of(problem, at)
         return self.part
 
 
 def _points(
-    experiment: FitProblem, noise: Noise, start: Array, shared: Shared
+    problem: FitProblem, noise: Noise, start: Array, shared: Shared
 ) -> Callable[[Array], StagePoint | PartedPoint]:
     """What gives the points of a search: of a model linear in its parameters, all from the first.
 
     Of a log, of which the derivative is large, the linear parameters' is taken from the first point, too.
     """
-    if not experiment.kind.moving or not (experiment.affine or not experiment.chain.bends.all()):
-        return lambda theta: stage_point(experiment, noise, theta)
-    part = shared.linear_part(experiment, start)
-    if not experiment.affine:
-        return PartedLog.of(experiment, noise, start, part).at
+    if not problem.kind.moving or not (problem.affine or not problem.chain.bends.all()):
+        return lambda theta: stage_point(problem, noise, theta)
+    part = shared.linear_part(problem, start)
+    if not problem.affine:
+        return PartedLog.of(problem, noise, start, part).at
     residual = part.left(start)
-    _must_be_finite(experiment, residual)
-    white = noise.whiten(experiment.rows, residual, part.columns)
+    _must_be_finite(problem, residual)
+    white = noise.whiten(problem.rows, residual, part.columns)
     return lambda theta: StagePoint(theta, part.left(theta), white.moved(theta - start))
 
 
-def point_at(experiment: FitProblem, noise: Noise, theta: Array) -> StagePoint | AmplitudePoint:
+def point_at(problem: FitProblem, noise: Noise, theta: Array) -> StagePoint | AmplitudePoint:
     """The same with a Jacobian that is made when it is asked for, where it is large."""
-    if not has_many_amplitudes(experiment, noise):
-        return stage_point(experiment, noise, theta)
-    return _amplitude_point(experiment, noise, theta)
+    if not has_many_amplitudes(problem, noise):
+        return stage_point(problem, noise, theta)
+    return _amplitude_point(problem, noise, theta)
 
 
-def _amplitude_point(experiment: FitProblem, noise: Noise, theta: Array) -> AmplitudePoint:
-    point = AmplitudePoint.at(experiment, noise, theta)
-    _must_be_finite(experiment, point.residual)
+def _amplitude_point(problem: FitProblem, noise: Noise, theta: Array) -> AmplitudePoint:
+    point = AmplitudePoint.at(problem, noise, theta)
+    _must_be_finite(problem, point.residual)
     return point
 
 
-def _must_be_finite(experiment: FitProblem, residual: Array) -> None:
+def _must_be_finite(problem: FitProblem, residual: Array) -> None:
     if not np.all(np.isfinite(residual)):
-        raise FitError(f"{experiment.stage}: the model gives no finite prediction; are the units right?")
+        raise FitError(f"{problem.stage}: the model gives no finite prediction; are the units right?")
 
 
-def limits_of(experiment: FitProblem) -> Limits:
+def limits_of(problem: FitProblem) -> Limits:
     """Sizes and bounds ``(P + K,)`` of a stage's parameters."""
-    lower, upper = experiment.bounds()
-    return Limits(experiment.sizes(), lower, upper, experiment.bounded())
+    lower, upper = problem.bounds()
+    return Limits(problem.sizes(), lower, upper, problem.bounded())
 
 
 def solve(
-    experiment: FitProblem,
+    problem: FitProblem,
     theta: Array,
     noise: Noise,
     precision: Array,
@@ -247,24 +247,24 @@ def solve(
     FitError
         The model gives no finite prediction.
     """
-    theta = limits_of(experiment).clipped(theta)
+    theta = limits_of(problem).clipped(theta)
 
     def cost(held: Sequence[FitProblem], at: Array) -> float:
         return point_at(held[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
 
     known: dict[bytes, FitProblem] = {}
     shared = shared or Shared()
-    chord = shared.chord if has_many_amplitudes(experiment, noise) else None
+    chord = shared.chord if has_many_amplitudes(problem, noise) else None
 
     def held_at(at: Array) -> FitProblem:
         """Flanks and loads where a parameter vector puts them, found once."""
         key = at.tobytes()
         if key not in known:
-            known[key] = experiment.with_flanks(at)
+            known[key] = problem.with_flanks(at)
         return known[key]
 
     def search(held: Sequence[FitProblem], at: Array) -> _End:
-        limits, one = limits_of(experiment), held[0]
+        limits, one = limits_of(problem), held[0]
         if chord is None:
             return _End(*descend(_points(one, noise, at, shared), at, precision, mean, limits), one)
         return _End(*descend(lambda x: _amplitude_point(one, noise, x), at, precision, mean, limits, chord), one)
@@ -272,22 +272,22 @@ def solve(
     def found(start: Array) -> _End:
         end = settled(start, lambda at: [held_at(at)], search, cost)
         own = held_at(end.theta)  # the flanks and loads that it gives, which its predictions will have
-        return end if _follows_alike(end.experiment, own) else end._replace(point=point_at(own, noise, end.theta))
+        return end if _follows_alike(end.problem, own) else end._replace(point=point_at(own, noise, end.theta))
 
     end = found(theta)
-    image = mirrored(experiment, end.theta)
+    image = mirrored(problem, end.theta)
     if image is not None:
         upright = found(image)
-        if mirrored(experiment, upright.theta) is None:
+        if mirrored(problem, upright.theta) is None:
             end = upright
     return Estimate(
-        experiment=experiment,
+        problem=problem,
         theta=end.theta,
         covariance=end.point.covariance(precision) if errors else np.zeros((0, 0)),
         noise=noise,
         whitened=end.point.white,
         residual=end.point.residual,
-        outliers=np.zeros(len(experiment.rows), dtype=bool),
+        outliers=np.zeros(len(problem.rows), dtype=bool),
         prior_precision=precision,
         prior_mean=mean,
         iterations=end.iterations,
@@ -295,11 +295,11 @@ def solve(
 
 
 class _End(NamedTuple):
-    """Where a search with flanks held has ended, after how many iterations, and with which experiment."""
+    """Where a search with flanks held has ended, after how many iterations, and with which problem."""
 
     point: StagePoint | PartedPoint | AmplitudePoint
     iterations: int
-    experiment: FitProblem
+    problem: FitProblem
 
     @property
     def theta(self) -> Array:
@@ -313,10 +313,10 @@ def _follows_alike(held: FitProblem, other: FitProblem) -> bool:
     return before is after or all(np.array_equal(before[name], after[name]) for name in FOLLOWING if name in after)
 
 
-def prior_of(experiment: FitProblem, priors: Sequence[Prior]) -> tuple[Array, Array]:
+def prior_of(problem: FitProblem, priors: Sequence[Prior]) -> tuple[Array, Array]:
     """Precision ``(P + K, P + K)`` and mean: each parameter's own prior, or what earlier stages know of it."""
-    precision, mean = experiment.prior()
-    index = {slot: k for k, slot in enumerate(experiment.slots)}
+    precision, mean = problem.prior()
+    index = {slot: k for k, slot in enumerate(problem.slots)}
     following: list[tuple[list[int], list[int], Array]] = []
     for prior in priors:
         shared = [k for k, slot in enumerate(prior.slots) if slot in index]
@@ -337,37 +337,37 @@ def prior_of(experiment: FitProblem, priors: Sequence[Prior]) -> tuple[Array, Ar
     return precision, mean
 
 
-def holding(experiment: FitProblem, precision: Array, chosen: Sequence[int] | Integers, within: float) -> Array:
+def holding(problem: FitProblem, precision: Array, chosen: Sequence[int] | Integers, within: float) -> Array:
     """A prior's precision ``(P + K, P + K)`` with some parameters held at its mean to ``within`` of their sizes."""
     held = precision.copy()
-    held[chosen, chosen] += 1.0 / (within * experiment.sizes()[chosen]) ** 2
+    held[chosen, chosen] += 1.0 / (within * problem.sizes()[chosen]) ** 2
     return held
 
 
-def start_of(experiment: FitProblem, start: Mapping[Slot, float] | None, priors: Sequence[Prior]) -> Array:
-    """Where a fit begins ``(P + K,)``: what is known, else what the experiment says."""
-    theta = experiment.start()
+def start_of(problem: FitProblem, start: Mapping[Slot, float] | None, priors: Sequence[Prior]) -> Array:
+    """Where a fit begins ``(P + K,)``: what is known, else what the problem says."""
+    theta = problem.start()
     known = {slot: float(v) for prior in priors for slot, v in zip(prior.slots, prior.mean, strict=True)}
     known |= dict(start or {})
     # A drive without spring would be infinitely stiff, and its torque undefined: the loops' slopes are the start.
-    for k, slot in enumerate(experiment.slots):
+    for k, slot in enumerate(problem.slots):
         if slot in known:
             theta[k] = known[slot]
-        elif experiment.kind.solved and experiment.parameters[k].role == "compliance":
-            theta[k] = experiment.rows.sweep.loop_compliance[int(slot.place.removeprefix("joint")) - 1]
-    if experiment.kind.solved:
-        theta[len(experiment.slots) :] = clamping_offsets(experiment, theta)
+        elif problem.kind.solved and problem.parameters[k].role == "compliance":
+            theta[k] = problem.rows.sweep.loop_compliance[int(slot.place.removeprefix("joint")) - 1]
+    if problem.kind.solved:
+        theta[len(problem.slots) :] = clamping_offsets(problem, theta)
     return theta
 
 
-def clamping_offsets(experiment: FitProblem, theta: Array) -> Array:
+def clamping_offsets(problem: FitProblem, theta: Array) -> Array:
     """Offsets ``(K,)`` at which, with the measured torques, the sweeps' mean equilibrium holds.
 
     Of the friction that held motors keep: what their last motion left, or none where that is not known.
     """
-    rows, n = experiment.rows, experiment.rows.robot.n
+    rows, n = problem.rows, problem.rows.robot.n
     torque = rows.sweep.start_torque
-    d = experiment.chain.evaluate(theta[: len(experiment.slots)], rows.signals, torque)
+    d = problem.chain.evaluate(theta[: len(problem.slots)], rows.signals, torque)
     wound = rows.sweep.wound + d.values[:, :n]
     run = rows.series.run
     keys, kept = rows.series.offset_keys, rows.sweep.kept_sign * rows.sweep.held_friction
@@ -377,6 +377,6 @@ def clamping_offsets(experiment: FitProblem, theta: Array) -> Array:
 def whitened_columns(estimate: Estimate, extra: Sequence[Slot], values: Sequence[float] | Array) -> Whitened:
     """What a unit of each further slot would do, at the given values of the shapes and zero amplitudes."""
     count = len(estimate.slots)
-    trial = estimate.experiment.with_slots((*estimate.slots, *extra))
+    trial = estimate.problem.with_slots((*estimate.slots, *extra))
     theta = np.r_[estimate.theta[:count], values, estimate.theta[count:]]
-    return estimate.noise.whiten(estimate.experiment.rows, *trial.derivative(theta, count))
+    return estimate.noise.whiten(estimate.problem.rows, *trial.derivative(theta, count))

@@ -32,8 +32,8 @@ def unknown_frictions(estimate: Estimate) -> list[int]:
     unknown as the spring.
     """
     springs = {estimate.slots[k].place for k in _untold_springs(estimate)}
-    weak = np.sqrt(np.diag(estimate.prior_precision)) * estimate.experiment.prior_std() < 1.0 + 1e-9
-    frictions = estimate.experiment.numbers_of("arm_friction")
+    weak = np.sqrt(np.diag(estimate.prior_precision)) * estimate.problem.prior_std() < 1.0 + 1e-9
+    frictions = estimate.problem.numbers_of("arm_friction")
     return [k for k in frictions if not estimate.identified[k] or (weak[k] and estimate.slots[k].place in springs)]
 
 
@@ -59,19 +59,19 @@ def without_unknown_friction(estimate: Estimate) -> Estimate:
     moot, value = _moot(found, shown)
     theta[moot] = value
     # The flanks stay those of the fit.
-    there = point_at(found.experiment.with_flanks(found.theta), estimate.noise, theta)
+    there = point_at(found.problem.with_flanks(found.theta), estimate.noise, theta)
     found = replace(found, whitened=found.whitened.with_jacobian_of(there.white))
     return replace(found, covariance=found.point.covariance(found.prior_precision))
 
 
 def at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
     """The fit with some frictions held at none, its covariance as if they were free there."""
-    experiment, precision, mean = estimate.experiment, estimate.prior_precision, estimate.prior_mean
+    problem, precision, mean = estimate.problem, estimate.prior_precision, estimate.prior_mean
     moot, value = _moot(estimate, unknown)
-    theta, at_zero, held = estimate.theta.copy(), mean.copy(), holding(experiment, precision, moot, HELD_STD)
+    theta, at_zero, held = estimate.theta.copy(), mean.copy(), holding(problem, precision, moot, HELD_STD)
     theta[moot] = at_zero[moot] = value
-    shared = Shared.at(estimate.whitened.normal) if has_many_amplitudes(experiment, estimate.noise) else None
-    found = solve(experiment, theta, estimate.noise, held, at_zero, errors=False, shared=shared)
+    shared = Shared.at(estimate.whitened.normal) if has_many_amplitudes(problem, estimate.noise) else None
+    found = solve(problem, theta, estimate.noise, held, at_zero, errors=False, shared=shared)
     return replace(found, covariance=found.point.covariance(precision), prior_precision=precision, prior_mean=mean)
 
 
@@ -79,7 +79,7 @@ def _untold_springs(estimate: Estimate) -> list[int]:
     """Numbers of the compliances that a fit's rows do not determine, nor set apart from what springs are taken for."""
     clear = np.abs(estimate.theta - estimate.prior_mean) > CERTAIN_SPRING * estimate.std
     known = estimate.identified | clear
-    return [k for k in estimate.experiment.numbers_of("compliance") if not known[k]]
+    return [k for k in estimate.problem.numbers_of("compliance") if not known[k]]
 
 
 def _moot(estimate: Estimate, unknown: Sequence[int]) -> tuple[list[int], Array]:

@@ -22,8 +22,8 @@ __all__ = ["with_unknown_masses"]
 
 def with_unknown_masses(estimate: Estimate) -> Estimate:
     """The same fit, with what the links may weigh in its covariance; unchanged where they are described or fitted."""
-    rows = estimate.experiment.rows
-    if not rows.kind.points or rows.robot.has_masses or estimate.experiment.numbers_of(*WEIGHTS, per="link"):
+    rows = estimate.problem.rows
+    if not rows.kind.points or rows.robot.has_masses or estimate.problem.numbers_of(*WEIGHTS, per="link"):
         return estimate
     (masses,) = description_priors(rows)
     columns = whitened_columns(estimate, masses.slots, masses.mean).jacobian

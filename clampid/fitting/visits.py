@@ -62,6 +62,6 @@ def variance_along(estimate: Estimate, chosen: Integers) -> float:
 
 def _by_joint(estimate: Estimate, white: Whitened, theta: Array) -> tuple[Array, Integers]:
     """What a joint's stop does to each whitened number ``(M, n)``, and the visit ``(M,)`` that each is of."""
-    rows = estimate.experiment.rows
-    by_joint = rows.in_noise_axes(estimate.experiment.by_joint(theta))[white.entry, white.channel]
+    rows = estimate.problem.rows
+    by_joint = rows.in_noise_axes(estimate.problem.by_joint(theta))[white.entry, white.channel]
     return by_joint / estimate.noise.sigma[white.entry, white.channel, None], rows.unit[white.entry]

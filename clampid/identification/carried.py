@@ -92,18 +92,18 @@ def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:
     poses
         Fitted without anything from the clamped stage but start values.
     """
-    if clamped is None or not shared_drives(clamped.slots, poses.slots, poses.experiment.effects):
+    if clamped is None or not shared_drives(clamped.slots, poses.slots, poses.problem.effects):
         return Drives(None, ())
     count = len(poses.slots)
     alone = StageModel(
-        stage=poses.experiment.stage,
+        stage=poses.problem.stage,
         terms=(),
         slots=poses.slots,
         theta=poses.theta[:count],
         covariance=poses.covariance[:count, :count],
         identified=tuple(bool(b) for b in poses.identified[:count]),
     )
-    found, _ = agreement_of(clamped, alone, poses.experiment.effects)
+    found, _ = agreement_of(clamped, alone, poses.problem.effects)
     contradicted = tuple(a for a in found if a.verdict == "differs")
     if contradicted:
         return Drives(None, contradicted)
@@ -111,7 +111,7 @@ def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:
     # predictions.
     told = tuple(
         s
-        for s in shared_drives(clamped.slots, poses.slots, poses.experiment.effects)
+        for s in shared_drives(clamped.slots, poses.slots, poses.problem.effects)
         if alone.identified[poses.slots.index(s)]
     )
     return Drives(prior_from(clamped, told) if told else None, ())

@@ -74,7 +74,7 @@ class FittedStage:
     @property
     def floor(self) -> Floor:
         """What noise alone leaves of the fitted rows, as far as this fit knows it."""
-        return noise_floor(self.estimate.experiment.rows, self.estimate.residual)
+        return noise_floor(self.estimate.problem.rows, self.estimate.residual)
 
     def errors(self, verification: Rows | None, seed: int, floor: Floor | None = None) -> StageErrors:
         """Errors on fitted and held-out rows; torques in units of ``floor``, by default of this fit's own noise."""
@@ -209,7 +209,7 @@ def _is_geometry(term: Term, effects: Mapping[str, Effect]) -> bool:
 def _model_of(
     estimate: Estimate, rows: Rows, terms: Sequence[Term], held: Sequence[Sequence[int]], carried_prior: Prior | None
 ) -> StageModel:
-    count, fitted = len(estimate.slots), estimate.experiment.rows
+    count, fitted = len(estimate.slots), estimate.problem.rows
     bad = np.flatnonzero(estimate.outliers)
     turns, sessions = open_turns(fitted), rows.layout.sessions
     unknown = unknown_frictions(estimate) if rows.kind.points else []
@@ -226,7 +226,7 @@ def _model_of(
         base=base_parameters(estimate),
         by_springs=rows_by_springs(estimate) if rows.kind.moving else None,
         carried_prior=carried_prior,
-        lean=estimate.experiment.chain.lean,
+        lean=estimate.problem.chain.lean,
         ranges=ranges_of(fitted, estimate.outliers) if rows.kind.points else None,
         observability=observability(_information(estimate), len(estimate.whitened.residual)),
     )
@@ -237,7 +237,7 @@ def _refuse_no_freedom(estimate: Estimate) -> None:
     numbers, determined = freedom_of(estimate)
     if determined >= numbers:
         raise FitError(
-            f"{estimate.experiment.stage}: expected more measured numbers than parameters that they determine, found "
+            f"{estimate.problem.stage}: expected more measured numbers than parameters that they determine, found "
             f"{numbers} and {determined}: no degree of freedom is left; measure more, or fit "
             "fewer effects (--effects)"
         )
@@ -251,5 +251,5 @@ def freedom_of(estimate: Estimate) -> tuple[int, int]:
 
 def _information(estimate: Estimate) -> Array:
     """What the rows tell of the slots ``(P, P)``, in units of reasonable sizes, without the prior."""
-    size = estimate.experiment.sizes()
+    size = estimate.problem.sizes()
     return projected(estimate.whitened.normal * np.outer(size, size), len(estimate.slots))

@@ -71,7 +71,7 @@ class FittedLog:
     def with_solution(self, theta: Array, covariance: Array, carried_prior: Prior) -> FittedLog:
         """The same stage at the solution ``(P + K,)`` of a joint fit; ``carried_prior``: what other stages say."""
         fit = replace(self.fit, moments=self.fit.moments.moved(theta))
-        prior = LogPrior(*prior_of(self.stage.experiment, (carried_prior,)), self.prior.limits)
+        prior = LogPrior(*prior_of(self.stage.problem, (carried_prior,)), self.prior.limits)
         model = self.stage.model_of(fit, prior, covariance, self.kept, self.model.held_out, carried_prior)
         return replace(self, model=model, fit=fit, prior=prior, covariance=covariance)
 
@@ -114,7 +114,7 @@ class LogStage:
             sampled=MOST_ROWS,
         )
         self.folds = self._bare(layout, self.design.offset_keys)
-        self.experiment = fit_problem(self.folds, effects, slots)
+        self.problem = fit_problem(self.folds, effects, slots)
 
     @property
     def linear(self) -> bool:
@@ -147,10 +147,10 @@ class LogStage:
         """
         kept = ~self.folds.in_folds(held) if held else np.ones(len(self.folds), dtype=bool)
         priors = description_priors(self.folds)
-        at = start_of(self.experiment, start, priors)
-        precision, mean = prior_of(self.experiment, priors)
-        mean = np.where(self.experiment.fixed(), at, mean)
-        prior = LogPrior(precision, mean, limits_of(self.experiment))
+        at = start_of(self.problem, start, priors)
+        precision, mean = prior_of(self.problem, priors)
+        mean = np.where(self.problem.fixed(), at, mean)
+        prior = LogPrior(precision, mean, limits_of(self.problem))
         part = parts_of(self.folds, kept, seed)
         fit, weights = fit_log(self.design, kept, prior, at, part), None
         if not correlated:
@@ -169,20 +169,20 @@ class LogStage:
         carried_prior: Prior | None = None,
     ) -> StageModel:
         """The stage's model of a fit with ``covariance`` ``(P + K, P + K)`` of the folds ``kept`` ``(F,)``."""
-        slots, count = self.experiment.slots, len(self.experiment.slots)
+        slots, count = self.problem.slots, len(self.problem.slots)
         here = np.flatnonzero(np.r_[np.ones(count, dtype=bool), kept[self.design.offset_keys[:, 0]]])
         inside = np.ix_(here, here)
         own = covariance[:count, :count]
         std, size = np.sqrt(np.maximum(np.diag(own), 0.0)), prior.size[here]
         information = fit.moments.normal[inside] * np.outer(size, size)
-        assumed = assumed_of(self.experiment)
+        assumed = assumed_of(self.problem)
         return StageModel(
             stage="free_air",
             terms=self.terms,
             slots=slots,
             theta=fit.moments.at[:count],
             covariance=own,
-            identified=tuple(bool(b) for b in std < self.experiment.clear()[:count]),
+            identified=tuple(bool(b) for b in std < self.problem.clear()[:count]),
             held_out=held,
             outliers=tuple(self._place(int(row)) for row in fit.outliers),
             null_directions=named_directions(information, size, slots, prior.precision[inside], assumed),
@@ -194,12 +194,12 @@ class LogStage:
 
     def _base(self, fit: LogFit, covariance: Array, precision: Array) -> tuple[BaseParameter, ...]:
         """The base parameters of gravity and inertia."""
-        slots = self.experiment.slots
-        if not self.experiment.numbers_of(*INERTIAL):
+        slots = self.problem.slots
+        if not self.problem.numbers_of(*INERTIAL):
             return ()
-        steady = not self.experiment.numbers_of(*INERTIAS)
+        steady = not self.problem.numbers_of(*INERTIAS)
         columns = sampled_columns(self.design, self.parts, slots, fit.noise.sigma, steady)
-        return grouped(self.experiment, fit.moments.at[: len(slots)], covariance, precision, *columns)
+        return grouped(self.problem, fit.moments.at[: len(slots)], covariance, precision, *columns)
 
     def _place(self, row: int) -> tuple[int, str, int]:
         """Session, table and row from 1 of a row of the log from 0."""

@@ -211,7 +211,7 @@ def _at(parts: Sequence[JointPart], held: Sequence[FitProblem], union: _Union, t
 
 
 def _experiment(part: JointPart) -> FitProblem:
-    return part.stage.experiment if isinstance(part, FittedLog) else part.estimate.experiment
+    return part.stage.problem if isinstance(part, FittedLog) else part.estimate.problem
 
 
 def _weights(best: _Joint, union: _Union) -> Array:
@@ -262,8 +262,8 @@ def _prior_of_the_others(best: _Joint, union: _Union, weights: Array, k: int, tr
 def _estimate(part: FittedStage, theta: Array, covariance: Array, carried_prior: Prior) -> Estimate:
     """A stage's estimate at the joint solution."""
     alone = part.estimate
-    point = stage_point(alone.experiment, alone.noise, theta)
-    precision, mean = prior_of(alone.experiment, (carried_prior,))
+    point = stage_point(alone.problem, alone.noise, theta)
+    precision, mean = prior_of(alone.problem, (carried_prior,))
     return replace(
         alone,
         theta=theta,
@@ -271,5 +271,5 @@ def _estimate(part: FittedStage, theta: Array, covariance: Array, carried_prior:
         whitened=point.white,
         residual=point.residual,
         prior_precision=precision,
-        prior_mean=np.where(alone.experiment.fixed(), theta, mean),
+        prior_mean=np.where(alone.problem.fixed(), theta, mean),
     )

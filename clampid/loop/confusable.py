@@ -82,7 +82,7 @@ def confusable_pairs(
     """
     estimate = fitted.estimate
     scale = space_of(estimate).scale
-    absent = named_candidates(estimate, _looked_for(estimate.experiment.effects, searched))
+    absent = named_candidates(estimate, _looked_for(estimate.problem.effects, searched))
     absent = [c for c in absent if c.prior is None and len(c.terms) == 1]
     found = []
     for own in _own_candidates(estimate):
@@ -91,7 +91,7 @@ def confusable_pairs(
         first = score(space, [own])[0]
         if first.state not in ABLE or first.bic < SAME:
             continue
-        for second in _in_its_place(space, first, score(space, absent), estimate.experiment.effects):
+        for second in _in_its_place(space, first, score(space, absent), estimate.problem.effects):
             apart = evidence_apart(fitted, first.candidate.terms[0], second.candidate.terms[0], before)
             if apart < SAME:
                 found.append(Confusable(first, second, without, scale, apart))
@@ -125,13 +125,13 @@ def fitted_with(fitted: FittedStage, more: Sequence[Term], before: Mapping[Stage
 def _fitted_to(fitted: FittedStage, terms: Sequence[Term], before: Mapping[Stage, StageModel]) -> FittedStage:
     model = fitted.model
     others = model.carried_prior or before
-    effects, start = fitted.estimate.experiment.effects, model.values()
+    effects, start = fitted.estimate.problem.effects, model.values()
     return fit_stage(fitted.rows, effects, terms, others, start, model.held_out, last=fitted.estimate)
 
 
 def _by_place(fitted: FittedStage) -> list[Term]:
     """The terms of a fit, place by place but for geometry, which has places that depend on each other."""
-    effects, out = fitted.estimate.experiment.effects, []
+    effects, out = fitted.estimate.problem.effects, []
     for term in fitted.model.terms:
         effect = effects[term.effect]
         places = [s.place for s in fitted.model.slots if s.effect == term.effect]
@@ -153,8 +153,8 @@ def _own_candidates(estimate: Estimate) -> Iterator[Candidate]:
 
     Left out: geometry and masses, which every arm has; and what other rows know already.
     """
-    experiment, effects = estimate.experiment, estimate.experiment.effects
-    shapes, fixed, declared = experiment.shapes(), experiment.fixed(), experiment.prior_std()
+    problem, effects = estimate.problem, estimate.problem.effects
+    shapes, fixed, declared = problem.shapes(), problem.fixed(), problem.prior_std()
     known = 1.0 / np.sqrt(np.maximum(np.diag(estimate.prior_precision), 1e-300)) < OPEN * declared
     groups: dict[tuple[str, str], list[int]] = {}
     for k, slot in enumerate(estimate.slots):
@@ -173,8 +173,8 @@ def _own_candidates(estimate: Estimate) -> Iterator[Candidate]:
             columns=columns_from(estimate.whitened, index),
             depends_on=(),
             places=(place,),
-            reasonable=experiment.sizes()[index],
-            units=tuple(experiment.parameters[k].unit for k in index),
+            reasonable=problem.sizes()[index],
+            units=tuple(problem.parameters[k].unit for k in index),
             describes=effects[name].search.symptom_of,
         )
 
@@ -189,12 +189,12 @@ def _linear_without(estimate: Estimate, own: Candidate) -> Estimate:
     left = white.residual + white.jacobian[:, amplitude] @ estimate.theta[amplitude]
     columns, precision = white.jacobian[:, keep], estimate.prior_precision[np.ix_(keep, keep)]
     moment = columns.T @ left + precision @ (estimate.prior_mean[keep] - estimate.theta[keep])
-    experiment = estimate.experiment.with_slots([s for s in slots if s not in gone])
-    free = ~limits_of(estimate.experiment).resting(estimate.theta)[keep]
-    step = newton_step(columns.T @ columns + precision, moment, experiment.sizes(), 0.0, free)
+    problem = estimate.problem.with_slots([s for s in slots if s not in gone])
+    free = ~limits_of(estimate.problem).resting(estimate.theta)[keep]
+    step = newton_step(columns.T @ columns + precision, moment, problem.sizes(), 0.0, free)
     return replace(
         estimate,
-        experiment=experiment,
+        problem=problem,
         theta=estimate.theta[keep] + step,
         covariance=estimate.covariance[np.ix_(keep, keep)],
         whitened=Whitened(left - columns @ step, columns, white.entry, white.channel),
@@ -223,8 +223,8 @@ def _in_its_place(space: Space, first: Scored, others: list[Scored], effects: Ma
 
 def _beyond(estimate: Estimate, term: Term) -> bool:
     """Whether an amplitude of a term lies beyond what it can be by more than its error."""
-    lower, upper = estimate.experiment.bounds()
-    shapes = estimate.experiment.shapes()
+    lower, upper = estimate.problem.bounds()
+    shapes = estimate.problem.shapes()
     index = [k for k, s in enumerate(estimate.slots) if Term(s.effect, s.place) == term and not shapes[k]]
     theta, std = estimate.theta[index], estimate.std[index]
     return bool(np.any((theta + 2.0 * std < lower[index]) | (theta - 2.0 * std > upper[index])))

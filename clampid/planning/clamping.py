@@ -123,7 +123,7 @@ def plan_clamping(
         blank,
         duration=duration_of(chosen, press),
         sweeps=tuple(chosen),
-        expected=expected_of(bench.experiment, best[2], best[3], noise.words),
+        expected=expected_of(bench.problem, best[2], best[3], noise.words),
         assumed=(
             *assumed,
             *around.assumed,

@@ -48,10 +48,10 @@ class ClampingBench:
         if not any("compliance" in effects[term.effect].roles for term in terms):
             raise PlanError("effects: expected joint_compliance among them: without springs a clamped drive is rigid")
         self.slots = slots_of_terms(terms, effects, self.layout, "clamped")
-        self.experiment: FitProblem = fit_problem(clamped_rows([blank], self.layout), effects, self.slots)
-        self.size = self.experiment.sizes()[: len(self.slots)]
+        self.problem: FitProblem = fit_problem(clamped_rows([blank], self.layout), effects, self.slots)
+        self.size = self.problem.sizes()[: len(self.slots)]
         self.scale = np.outer(self.size, self.size)
-        self.prior = prior_precision(self.experiment) * self.scale
+        self.prior = prior_precision(self.problem) * self.scale
 
     def _table(self, sweeps: Sequence[Sweep]) -> pd.DataFrame:
         """Sweeps as a campaign has them, with the torques of springs as described."""
@@ -85,7 +85,7 @@ class ClampingBench:
         ratio = np.abs(np.diag(np.asarray(self.cell.robot.transmission)))
         soft = np.tile(GAP_SOFTNESS * self.noise.sigma / ratio, (len(rows), 1))
         rows = replace(rows, signals={**rows.signals, "rest_direction": soft})
-        _, jacobian = self.experiment.with_rows(rows).residual(self._theta(rows, sweeps))
+        _, jacobian = self.problem.with_rows(rows).residual(self._theta(rows, sweeps))
         count, run = len(self.slots), rows.series.run
         out = []
         for number in range(len(sweeps)):
@@ -105,12 +105,12 @@ class ClampingBench:
     def _theta(self, rows: Rows, sweeps: Sequence[Sweep]) -> Array:
         """Springs as described, everything else as usual, and the posture at which each sweep was clamped."""
         theta = np.zeros(len(self.slots) + rows.offsets)
-        start = self.experiment.start()
+        start = self.problem.start()
         for k, slot in enumerate(self.slots):
             theta[k] = start[k]
-            if self.experiment.parameters[k].role == "compliance":
+            if self.problem.parameters[k].role == "compliance":
                 theta[k] = 1.0 / self.press.stiffness[int(slot.place.removeprefix("joint")) - 1]
-            elif self.experiment.parameters[k].role == "clearance":
+            elif self.problem.parameters[k].role == "clearance":
                 theta[k] = self.size[k]
         T = np.asarray(self.cell.robot.transmission)
         C = T.T @ (T / self.press.stiffness[:, None])

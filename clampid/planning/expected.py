@@ -17,12 +17,12 @@ from experiments.plans.model import Expected, ExpectedParameter
 __all__ = ["expected_of", "predicted_covariance", "prior_precision"]
 
 
-def prior_precision(experiment: FitProblem) -> Array:
+def prior_precision(problem: FitProblem) -> Array:
     """What a fit of these slots knows before any row ``(P, P)``: the weak prior, and the description's masses."""
-    count = len(experiment.slots)
-    precision = np.diag(1.0 / experiment.prior_std()[:count] ** 2)
-    index = {slot: k for k, slot in enumerate(experiment.slots)}
-    for prior in description_priors(experiment.rows):
+    count = len(problem.slots)
+    precision = np.diag(1.0 / problem.prior_std()[:count] ** 2)
+    index = {slot: k for k, slot in enumerate(problem.slots)}
+    for prior in description_priors(problem.rows):
         shared = [k for k, slot in enumerate(prior.slots) if slot in index]
         where = [index[prior.slots[k]] for k in shared]
         if where:
@@ -37,13 +37,13 @@ def predicted_covariance(information: Array, precision: Array, size: Array) -> A
 
 
 def expected_of(
-    experiment: FitProblem, information: Array, rows: int, noise: str, extra: tuple[str, ...] = ()
+    problem: FitProblem, information: Array, rows: int, noise: str, extra: tuple[str, ...] = ()
 ) -> Expected:
     """What the plan says of itself.
 
     Parameters
     ----------
-    experiment
+    problem
         Any rows of the plan, with its slots.
     information
         ``(P, P)`` of all planned rows, SI, single runs' unknown constants already taken off.
@@ -54,30 +54,30 @@ def expected_of(
     extra
         Further sentences on what stays open.
     """
-    count = len(experiment.slots)
-    size = experiment.sizes()[:count]
-    precision = prior_precision(experiment)
+    count = len(problem.slots)
+    size = problem.sizes()[:count]
+    precision = prior_precision(problem)
     covariance = predicted_covariance(information, precision, size)
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     parameters = []
-    for k, (slot, parameter) in enumerate(zip(experiment.slots, experiment.parameters, strict=True)):
+    for k, (slot, parameter) in enumerate(zip(problem.slots, problem.parameters, strict=True)):
         parameters.append(
             ExpectedParameter(slot.label, parameter.unit, parameter.size, float(std[k]), bool(std[k] < parameter.size))
         )
     scaled = information * np.outer(size, size)
-    open_ = null_directions(_estimate(experiment, information, covariance, precision))
+    open_ = null_directions(_estimate(problem, information, covariance, precision))
     return Expected(observability(scaled, rows), tuple(parameters), (*extra, *open_), noise)
 
 
-def _estimate(experiment: FitProblem, information: Array, covariance: Array, precision: Array) -> Estimate:
+def _estimate(problem: FitProblem, information: Array, covariance: Array, precision: Array) -> Estimate:
     """The estimate that rows with this information would give, for those who word what an estimate leaves open."""
     values, vectors = np.linalg.eigh(information)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
     count = len(information)
-    bare = experiment.with_rows(experiment.rows.take(np.zeros(0, dtype=np.int64)))
+    bare = problem.with_rows(problem.rows.take(np.zeros(0, dtype=np.int64)))
     still = np.zeros(count, dtype=np.int64)
     return Estimate(
-        experiment=bare,
+        problem=bare,
         theta=np.zeros(count),
         covariance=covariance,
         noise=Noise(bare.rows.sigma),

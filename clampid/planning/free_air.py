@@ -89,7 +89,7 @@ class _Search:
         middle = (limits.lower + limits.upper) / 2
         self.knots: list[Array] = [pool[int(np.argmin(np.linalg.norm(pool - middle, axis=1)))]]
         size = bench.size
-        self.information: Array = prior_precision(bench.experiment) * np.outer(size, size)
+        self.information: Array = prior_precision(bench.problem) * np.outer(size, size)
         self.moves: list[Array] = []  # information of each move, scaled
         self.spent = len(self.speeds) * self.dwell
 

@@ -146,8 +146,8 @@ class LogBench:
         self.slots: tuple[Slot, ...] = slots_of_terms(terms, effects, self.layout, "free_air")
         if not self.slots:
             raise PlanError(f"{', '.join(wanted)}: nothing of it can be seen in free air at {cell.robot.name}")
-        self.experiment: FitProblem = fit_problem(torque_rows([self._blank], self.layout), effects, self.slots)
-        self.size: Array = self.experiment.sizes()[: len(self.slots)]
+        self.problem: FitProblem = fit_problem(torque_rows([self._blank], self.layout), effects, self.slots)
+        self.size: Array = self.problem.sizes()[: len(self.slots)]
 
     def tell(self, courses: Sequence[Course]) -> list[Told]:
         """Information of every move of every course; each course is a run of its own."""
@@ -155,7 +155,7 @@ class LogBench:
         rows = torque_rows([imagined(self.cell, free_air=joined)], self.layout)
         run = rows.series.run
         used = planned_rows(self.cell, self.noise, self.rate, rows.signals, courses, run, self.fastest)
-        here = self.experiment.with_rows(rows)
+        here = self.problem.with_rows(rows)
         _, jacobian = here.residual(np.zeros(len(self.slots) + rows.offsets))
         time, run = joined["time_s"].to_numpy(), joined["run"].to_numpy()
         out = []

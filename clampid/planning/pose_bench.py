@@ -56,9 +56,9 @@ class PoseBench:
         terms = resolve_terms(wanted, [blank], known, self.layout)["poses"]
         self.effects = tuple(term.label for term in terms)
         rows = pose_rows([blank], self.layout, "poses", self._base)
-        self.experiment = fit_problem(rows, known, active_slots(rows, known, terms))
-        self.size: Array = self.experiment.sizes()
-        self.prior: Array = prior_precision(self.experiment) * np.outer(self.size, self.size)
+        self.problem = fit_problem(rows, known, active_slots(rows, known, terms))
+        self.size: Array = self.problem.sizes()
+        self.prior: Array = prior_precision(self.problem) * np.outer(self.size, self.size)
 
     def points(self, q: Array) -> tuple[Array, Array]:
         """Tracked points ``(N, t, 3)``, m, and flange rotations ``(N, 3, 3)``, base frame, at q ``(N, n)``, rad."""
@@ -74,7 +74,7 @@ class PoseBench:
     def factors(self, q: Array, direction: Array) -> Array:
         """What each visit tells ``(N, P, 3 t)``: its whitened Jacobian, transposed, in parameters of usual size."""
         rows = self.rows(q, direction)
-        _, jacobian = self.experiment.with_rows(rows).residual(self.experiment.start())
+        _, jacobian = self.problem.with_rows(rows).residual(self.problem.start())
         white = jacobian[:, :3] / rows.sigma[:, :3, None] * self.size
         return np.asarray(np.swapaxes(white.reshape(len(q), -1, len(self.size)), 1, 2))
 

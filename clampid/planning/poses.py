@@ -359,7 +359,7 @@ class _Search:
             duration=moves + waiting,
             visits=tuple(visits),
             measure_time=wishes.measure_time,
-            expected=expected_of(bench.experiment, information, factors.shape[2] * len(own), noise),
+            expected=expected_of(bench.problem, information, factors.shape[2] * len(own), noise),
             assumed=assumed,
             wished=MappingProxyType(record),
         )

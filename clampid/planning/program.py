@@ -110,7 +110,7 @@ def finished_program(
         duration=sum(run.course.length for run in runs),
         runs=runs,
         rate=bench.rate,
-        expected=expected_of(bench.experiment, information, rows, bench.noise.words, impossible),
+        expected=expected_of(bench.problem, information, rows, bench.noise.words, impossible),
         assumed=tuple(assumed),
         wished=MappingProxyType(dict(wished)),
     )

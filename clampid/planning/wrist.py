@@ -275,7 +275,7 @@ def _choose(
         factors[k, :, : part.shape[1]] = part
     cost = np.array([course.length - dwell for course in courses])
     budget -= CENTRES * dwell  # each run begins with one stop more
-    prior = prior_precision(bench.experiment) * size
+    prior = prior_precision(bench.problem) * size
     shown: list[int] = []
     for fact in sorted({f for swing in swings for f in swing.seen}):
         # The best swing for a fact, given those already taken.

@@ -112,7 +112,7 @@ def points_on(one: SharedCurve, poses: StageData | None) -> list[tuple[int, Arra
     if poses is None:
         return []
     piece = poses.first
-    chain, rows = piece.experiment.chain, piece.rows
+    chain, rows = piece.problem.chain, piece.rows
     deviations = evaluate(rows, chain, poses.model.theta)
     _, _, sensitivity = predict(rows, deviations)
     width = piece.residual.shape[1]

@@ -34,7 +34,7 @@ def _without(data: StageData, slots: Collection[Slot]) -> Array:
     """Values with the amplitudes of some slots at zero; the shape parameters then have no effect."""
     theta = data.model.theta.copy()
     for k, slot in enumerate(data.model.slots):
-        if slot in slots and not find_parameter(slot, data.first.experiment.effects).shape:
+        if slot in slots and not find_parameter(slot, data.first.problem.effects).shape:
             theta[k] = 0.0
     return theta
 
@@ -54,7 +54,7 @@ def pose_budget(data: StageData) -> list[Share]:
     good = piece.good[:, 0]
 
     def shift(slots: Collection[Slot]) -> float:
-        moved = piece.experiment.residual(_without(data, slots))[0][good, :3] - piece.residual[good, :3]
+        moved = piece.problem.residual(_without(data, slots))[0][good, :3] - piece.residual[good, :3]
         return float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))) if good.any() else 0.0
 
     out = []
@@ -73,7 +73,7 @@ def torque_budget(data: StageData) -> list[Share]:
     piece = data.first
     rows = piece.rows
     keep = thin(len(rows), MOST_ROWS) if data.kind.moving else np.arange(len(rows))
-    trial = piece.experiment.with_rows(rows.take(keep))
+    trial = piece.problem.with_rows(rows.take(keep))
     good = piece.good[keep]
 
     def rms(values: Array) -> Array:
@@ -82,7 +82,7 @@ def torque_budget(data: StageData) -> list[Share]:
 
     out = []
     for effect in dict.fromkeys(s.effect for s in data.model.slots):
-        if data.kind.solved and "compliance" in data.first.experiment.effects[effect].roles:
+        if data.kind.solved and "compliance" in data.first.problem.effects[effect].roles:
             continue
         off = _without(data, [s for s in data.model.slots if s.effect == effect])
         if data.kind.solved:  # the posture of clamping goes with it

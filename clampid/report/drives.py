@@ -118,7 +118,7 @@ def _sensor(frame: pd.DataFrame) -> Array:
 
 def _modelled(data: StageData) -> Array | None:
     """The flange's motion as the model has it ``(N, 6)``, m and rad, from each sweep's mean."""
-    trial = data.first.experiment
+    trial = data.first.problem
     if not any("fixture" in trial.effects[s.effect].acts for s in trial.slots):
         return None
     theta = np.r_[data.model.theta, np.zeros(trial.offsets)]

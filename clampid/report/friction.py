@@ -51,7 +51,7 @@ class _Curve:
 def friction_figures(data: StageData) -> list[Figure]:
     """Friction at the motors, and where the transmission separates it from theirs, at the joints."""
     names = [f"motor {k + 1}" for k in range(data.channels)]
-    effects = data.first.experiment.effects
+    effects = data.first.problem.effects
     # What reaches a motor through the wrist's coupling depends on other speeds than its own, too.
     at_arm = [name for name, effect in effects.items() if "arm_friction" in effect.roles]
     at_motor = [name for name, effect in effects.items() if effect.roles & set(FRICTIONS)]
@@ -99,11 +99,11 @@ def _drawn(data: StageData, effects: Sequence[str], places: Sequence[int], names
     return Chart(tuple(panels), height, below=f"speed of the {side}, rad/s")
 
 
-def _without(experiment: FitProblem, theta: Array, effects: Sequence[str]) -> Array:
+def _without(problem: FitProblem, theta: Array, effects: Sequence[str]) -> Array:
     """The parameters with some effects' amplitudes at zero."""
     out = theta.copy()
-    for k, slot in enumerate(experiment.slots):
-        if slot.effect in effects and not find_parameter(slot, experiment.effects).shape:
+    for k, slot in enumerate(problem.slots):
+        if slot.effect in effects and not find_parameter(slot, problem.effects).shape:
             out[k] = 0.0
     return out
 
@@ -131,7 +131,7 @@ def _cloud(data: StageData, effects: Sequence[str], place: int, side: str) -> _C
     usable = np.flatnonzero(piece.good.any(axis=1))
     rows = usable[thin(len(usable), 6 * MOST_POINTS)]
     part = piece.rows.take(rows)
-    trial = piece.experiment.with_rows(_alone(part, place, side, part.signals[f"{side}_speed"][:, place]))
+    trial = piece.problem.with_rows(_alone(part, place, side, part.signals[f"{side}_speed"][:, place]))
     runs = np.zeros(trial.offsets)
     theta = data.model.theta
     own = trial.residual(np.r_[_without(trial, theta, effects), runs])[0] - trial.residual(np.r_[theta, runs])[0]
@@ -153,7 +153,7 @@ def _curve(data: StageData, effects: Sequence[str], place: int, side: str, cloud
     for name in ("motor_temperature", "ambient_temperature", "elapsed", "torque", "gravity_torque"):
         if name in signals:
             signals[name] = np.broadcast_to(np.median(piece.rows.signals[name], axis=0), signals[name].shape)
-    trial = piece.experiment.with_rows(_alone(replace(middle, signals=signals), place, side, speed))
+    trial = piece.problem.with_rows(_alone(replace(middle, signals=signals), place, side, speed))
     runs = np.zeros(trial.offsets)
     theta = data.model.theta
     full, jacobian = trial.residual(np.r_[theta, runs])

@@ -43,7 +43,7 @@ def nominal_error(data: StageData) -> float | None:
     good = piece.good[:, 0] & ~piece.held_out
     if not data.kind.points or not good.any():
         return None
-    return nominal_points(piece.rows, piece.experiment.effects, good)
+    return nominal_points(piece.rows, piece.problem.effects, good)
 
 
 def rounds_section(

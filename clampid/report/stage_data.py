@@ -38,7 +38,7 @@ class Piece:
     """
 
     rows: Rows
-    experiment: FitProblem
+    problem: FitProblem
     residual: Array
     good: Bools
     held_out: Bools

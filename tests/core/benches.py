@@ -23,5 +23,5 @@ def refits(opened: ModelOnCampaign) -> Refit:
 
 
 def bench_of(opened: ModelOnCampaign, fitted: FittedStage, refit: Refit) -> Bench:
-    floor = noise_floor(fitted.estimate.experiment.rows, fitted.estimate.residual)
+    floor = noise_floor(fitted.estimate.problem.rows, fitted.estimate.residual)
     return Bench(opened.effects, refit, None, floor, seed=0, flips=99)

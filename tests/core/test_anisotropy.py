@@ -48,7 +48,7 @@ def test_noise_along_z_is_learned_and_none_of_its_rows_is_wrong(campaign: Campai
     rms = [float(np.std(white[deep.whitened.channel == c])) for c in range(3)]
     assert rms == pytest.approx([1.0] * 3, rel=0.25)
     assert not deep.outliers.any()
-    used = deep.experiment.rows.used[:, :3].all(axis=1)
+    used = deep.problem.rows.used[:, :3].all(axis=1)
     # It was learned from what equal weights leave, a little less than what these do.
     assert np.mean(deep.noise.sigma[0, :3] ** 2) == pytest.approx(np.mean(deep.residual[used, :3] ** 2), rel=0.1)
 
@@ -73,6 +73,6 @@ def test_a_sag_that_the_model_lacks_is_no_noise(campaign: Campaign):
 
 
 def test_isotropic_noise_is_taken_for_another_once_in_a_thousand(campaign: Campaign):
-    rows, rng = estimate_of(campaign).experiment.rows, np.random.default_rng(3)
+    rows, rng = estimate_of(campaign).problem.rows, np.random.default_rng(3)
     found = [relative_axes(rows, 5e-5 * rng.standard_normal((len(rows), 3))) for _ in range(1000)]
     assert sum(bool(np.any(r != 1.0)) for r in found) <= 5  # of a mean of 1, more in 0.06 % of all cases

@@ -136,13 +136,13 @@ def test_columns_are_combinations_of_those_kept(rng):
 
 def test_a_joint_that_never_moved_welds_its_links(still):
     """Locked at q3 = 90 degrees, link 3's moment along x points down from where link 2's z was."""
-    rows = still.estimate.experiment.rows
+    rows = still.estimate.problem.rows
     q = rows.signals["q"].copy()
     q[:, 2] = np.pi / 2
     used = rows.used.copy()
     used[:, 2] = False  # a motor at rest says nothing
-    locked = still.estimate.experiment.with_rows(replace(rows, signals={**rows.signals, "q": q}, used=used))
-    base = base_parameters(replace(still.estimate, experiment=locked))
+    locked = still.estimate.problem.with_rows(replace(rows, signals={**rows.signals, "q": q}, used=used))
+    base = base_parameters(replace(still.estimate, problem=locked))
     first = next(p for p in base if p.terms[0][0] == Slot("gravity", "mz", "link2"))
     assert dict(first.terms)[Slot("gravity", "mx", "link3")] == pytest.approx(-1.0, abs=1e-9)
     assert not any(p.terms[0][0].place == "link3" and p.terms[0][0].parameter != "my" for p in base)
@@ -189,7 +189,7 @@ def test_a_balancer_and_a_tool_share_the_names_of_what_they_cannot_be_separated_
 
 
 def test_they_survive_the_model_file(still, tmp_path):
-    model = Model("kuka_kr20_r1810", still.estimate.experiment.rows.layout, {"free_air": still.model}, ())
+    model = Model("kuka_kr20_r1810", still.estimate.problem.rows.layout, {"free_air": still.model}, ())
     save_model(model, tmp_path / "m.json")
     assert load_model(tmp_path / "m.json").stages["free_air"].base == still.model.base
 

@@ -37,16 +37,16 @@ def estimate(campaign: Campaign) -> Estimate:
 
 def refit(estimate: Estimate, weight: np.ndarray) -> np.ndarray:
     """Fit a draw in full: rows repeated as often as their pose was drawn."""
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     _, fold = np.unique(rows.fold, return_inverse=True)
     chosen = np.repeat(np.arange(len(rows)), weight[fold].astype(int))
-    again = estimate.experiment.with_rows(rows.take(chosen))
+    again = estimate.problem.with_rows(rows.take(chosen))
     noise = estimate.noise.at(chosen)
     return solve(again, estimate.theta, noise, estimate.prior_precision, estimate.prior_mean).theta
 
 
 def test_all_poses_once_give_the_fit_itself(estimate: Estimate) -> None:
-    weights = np.ones((1, len(np.unique(estimate.experiment.rows.fold))))
+    weights = np.ones((1, len(np.unique(estimate.problem.rows.fold))))
     moved = (one_step(estimate, weights)[0] - estimate.theta) / estimate.std
     assert np.abs(moved).max() < 0.05  # what the search left
 
@@ -67,7 +67,7 @@ def test_one_step_is_a_refit_within_the_error_of_the_draws(estimate: Estimate) -
 
 
 def test_for_noise_alone_it_says_what_the_formula_says(estimate: Estimate) -> None:
-    rows, rng = estimate.experiment.rows, np.random.default_rng(1)
+    rows, rng = estimate.problem.rows, np.random.default_rng(1)
     white = estimate.whitened
 
     noise = replace(estimate, whitened=replace(white, residual=rng.standard_normal(len(white.residual))))
@@ -106,8 +106,8 @@ def test_it_is_kept_in_the_model_and_does_not_change_the_fit(campaign: Campaign,
 def test_too_little_to_draw_from_is_refused(estimate: Estimate) -> None:
     with pytest.raises(ValueError, match="expected two or more draws, found 1"):
         bootstrap(estimate, 1)
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
 
-    one = replace(estimate, experiment=estimate.experiment.with_rows(rows.take(rows.fold == 0)))
+    one = replace(estimate, problem=estimate.problem.with_rows(rows.take(rows.fold == 0)))
     with pytest.raises(ValueError, match="two or more poses in session 1, found 1"):
         bootstrap(one, 10)

@@ -152,6 +152,6 @@ def test_a_prior_of_very_different_units_keeps_all_it_knows(alone: FittedStage):
 def test_priors_pull_by_their_information(alone: FittedStage, clamped: StageModel):
     prior = prior_from(clamped, tuple(s for s in clamped.slots if s.effect in DRIVES))
     sure = replace(prior, covariance=1e-6 * prior.covariance)
-    found = fit(alone.estimate.experiment, (sure,), alone.estimate.values())
+    found = fit(alone.estimate.problem, (sure,), alone.estimate.values())
     values = np.array([found.values()[s] for s in prior.slots])
     np.testing.assert_allclose(values, prior.mean, atol=1e-7)

@@ -56,11 +56,11 @@ def test_usual_springs_are_possible_on_robots_with_and_without_gears(robot: str,
 def test_folds_by_one_step_are_folds_refitted(simulated: Callable[..., Campaign]):
     campaign = simulated(seed=7, poses=60, tables=("poses",))
     estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
-    rows, found = cross_validated(estimate, estimate.experiment.rows, seed=3)
+    rows, found = cross_validated(estimate, estimate.problem.rows, seed=3)
     order = rows.shuffled_folds(3)
     part = dict(zip(order.tolist(), (np.arange(len(order)) % FOLDS).tolist(), strict=True))
     of_row = np.array([part[f] for f in rows.fold.tolist()])
-    held = estimate.experiment.with_flanks(estimate.theta)
+    held = estimate.problem.with_flanks(estimate.theta)
     for k in range(FOLDS):
         keep, out = np.flatnonzero(of_row != k), np.flatnonzero(of_row == k)
         fitted = solve(
@@ -194,7 +194,7 @@ def test_what_would_raise_the_error_of_other_rows_is_refused_without_a_fit(simul
     tried, _ = bench.decided(replace(scores, named=[true]), fitted, held)
     assert isinstance(tried, Tried)
     assert tried.held.rms < held.rms
-    size = tried.fitted.estimate.experiment.sizes()
+    size = tried.fitted.estimate.problem.sizes()
     for slot in true.candidate.slots:
         found = tried.fitted.model.values()[slot]
         assert abs(starts[0][slot] - found) < 0.3 * abs(found) + 0.01 * size[tried.fitted.model.slots.index(slot)]

@@ -92,7 +92,7 @@ def test_equal_weights_claim_no_less_error_than_the_best_ones(patterned: Campaig
     assert np.median(ratio) > 1.0
     white = whole.estimate  # equal weights that took the noise for white would claim this
     plain = replace(white.noise, autocorrelations=())
-    J = plain.whiten(white.experiment.rows, *white.experiment.residual(white.theta)).jacobian
+    J = plain.whiten(white.problem.rows, *white.problem.residual(white.theta)).jacobian
     naive = np.sqrt(1.0 / np.diag(J.T @ J + white.prior_precision))
     own = np.array([s.effect == "coulomb_friction" for s in equal.slots])
     assert np.all(
@@ -155,8 +155,8 @@ def worse_than_least_squares(fitted: Campaign, unseen: Campaign) -> tuple[float,
     active = effects_in(model.terms, effects)
     log = LogStage(log_parts([fitted]), layout_of([fitted]), effects, model.terms)
     every, none = np.ones(len(log.folds), dtype=bool), np.zeros(0, dtype=np.int64)
-    precision, mean = prior_of(log.experiment, description_priors(log.folds))
-    prior = LogPrior(precision, mean, limits_of(log.experiment))
+    precision, mean = prior_of(log.problem, description_priors(log.folds))
+    prior = LogPrior(precision, mean, limits_of(log.problem))
     ordinary, _ = weighted(log.design, every, prior, none, LogNoise(np.ones(log.design.n)), mean)
     rows = stage_rows([unseen], layout_of([unseen]), "free_air", active=active)
     trial = fit_problem(rows, effects, model.slots)

@@ -68,14 +68,14 @@ def fitted(campaign: Campaign) -> Estimate:
 
 def test_the_time_is_found_to_the_row(with_slip: Estimate):
     at = time_of(with_slip, EVENTS["fixture_shift"])[SLIPPED]
-    rows = with_slip.experiment.rows
+    rows = with_slip.problem.rows
     progress, time = rows.signals["sweep_progress"], rows.constants.time
     after = np.flatnonzero(progress > at)[0]
     assert time[after - 1] < 463.764 < time[after]
 
 
 def test_rows_after_a_slip_are_no_outliers(with_slip: Estimate):
-    constants = with_slip.experiment.rows.sweep
+    constants = with_slip.problem.rows.sweep
     after = (constants.run == 2) & (constants.time > 463.764)
     assert after.sum() == 56
     assert not (with_slip.outliers & after).any()
@@ -127,8 +127,8 @@ def test_further_tests_raise_the_null():
 
 def test_a_second_slip_is_looked_for_beside_the_first(with_slip: Estimate):
     assert [e.name for e in absent_events(with_slip, catalogue())] == ["fixture_shift"]
-    slots = (*with_slip.slots, *slots_of(EVENTS["fixture_shift"], with_slip.experiment.rows.layout))
-    beside = replace(with_slip, experiment=with_slip.experiment.with_slots(slots))
+    slots = (*with_slip.slots, *slots_of(EVENTS["fixture_shift"], with_slip.problem.rows.layout))
+    beside = replace(with_slip, problem=with_slip.problem.with_slots(slots))
     assert [e.name for e in absent_events(beside, catalogue())] == ["second_fixture_shift"]
 
 

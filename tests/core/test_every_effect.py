@@ -52,7 +52,7 @@ def effect(request: pytest.FixtureRequest) -> Effect:
 
 
 def _trial(effect: Effect, rows: Rows) -> tuple[FitProblem, int]:
-    """An experiment of the effect, and of what it shows through; how many slots are the effect's."""
+    """A problem of the effect, and of what it shows through; how many slots are the effect's."""
     own = slots_of(effect, rows.layout, rows.stage)
     if rows.stage == "free_air" and "friction_state" not in effect.acts:
         return fit_problem(rows, EFFECTS, own), len(own)

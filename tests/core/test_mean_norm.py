@@ -35,23 +35,23 @@ def clean(arm: Campaign) -> Estimate:
     rows = stage_rows([arm], layout_of([arm]), "poses")
     effects = catalogue()
     first = fit(fit_problem(rows, effects, active_slots(rows, effects, [Term("geometry")])))
-    exact = replace(rows, measured=rows.measured - first.experiment.residual(first.theta)[0])
-    return replace(first, experiment=first.experiment.with_rows(exact))
+    exact = replace(rows, measured=rows.measured - first.problem.residual(first.theta)[0])
+    return replace(first, problem=first.problem.with_rows(exact))
 
 
 def refitted(clean: Estimate, noise: np.ndarray) -> Estimate:
-    rows = clean.experiment.rows
-    noisy = clean.experiment.with_rows(replace(rows, measured=rows.measured + noise))
+    rows = clean.problem.rows
+    noisy = clean.problem.with_rows(replace(rows, measured=rows.measured + noise))
     return fit(noisy, start=clean.values(), reject=False)
 
 
 def norms(estimate: Estimate, theta: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(estimate.experiment.residual(theta)[0][:, :3], axis=1)
+    return np.linalg.norm(estimate.problem.residual(theta)[0][:, :3], axis=1)
 
 
 def test_no_other_geometry_has_a_smaller_mean_norm(clean: Estimate) -> None:
     rng = np.random.default_rng(0)
-    squares = refitted(clean, SIGMA * rng.standard_normal(clean.experiment.rows.measured.shape))
+    squares = refitted(clean, SIGMA * rng.standard_normal(clean.problem.rows.measured.shape))
     found = mean_norm(squares)
     least = norms(found, found.theta).mean()
     assert least < norms(squares, squares.theta).mean()
@@ -64,13 +64,13 @@ def test_no_other_geometry_has_a_smaller_mean_norm(clean: Estimate) -> None:
 def test_slsqp_ends_where_reweighted_least_squares_does(clean: Estimate) -> None:
     """Weiszfeld's way to the same minimum: weights 1/|e|, again and again."""
     rng = np.random.default_rng(1)
-    squares = refitted(clean, SIGMA * rng.standard_normal(clean.experiment.rows.measured.shape))
+    squares = refitted(clean, SIGMA * rng.standard_normal(clean.problem.rows.measured.shape))
     found = mean_norm(squares)
     kappa = CURVATURE_OF_NORM * np.sqrt(np.mean(squares.residual[:, :3] ** 2))
     other = squares
     for _ in range(60):
         weight = Noise(np.sqrt(kappa * norms(other, other.theta))[:, None] * np.ones((1, 3)))
-        other = solve(squares.experiment, other.theta, weight, squares.prior_precision, squares.prior_mean)
+        other = solve(squares.problem, other.theta, weight, squares.prior_precision, squares.prior_mean)
     assert np.abs((other.theta - found.theta) / found.std).max() < 0.02
 
 
@@ -78,7 +78,7 @@ def test_standard_errors_are_those_of_repeated_measurements(clean: Estimate) -> 
     rng = np.random.default_rng(2)
     pulls, wider = [], []
     for _ in range(25):
-        squares = refitted(clean, SIGMA * rng.standard_normal(clean.experiment.rows.measured.shape))
+        squares = refitted(clean, SIGMA * rng.standard_normal(clean.problem.rows.measured.shape))
         found = mean_norm(squares)
         pulls.append(((found.theta - clean.theta) / found.std)[squares.identified])
         wider.append(np.median((found.std / squares.std)[squares.identified]))
@@ -89,7 +89,7 @@ def test_standard_errors_are_those_of_repeated_measurements(clean: Estimate) -> 
 
 def test_few_large_errors_pull_it_less(clean: Estimate) -> None:
     rng = np.random.default_rng(3)
-    shape = clean.experiment.rows.measured.shape
+    shape = clean.problem.rows.measured.shape
     off = {"squares": [], "norm": []}
     for _ in range(6):
         large = rng.random(shape[0])[:, None] < 0.08
@@ -127,6 +127,6 @@ def test_what_it_is_not_for_is_refused(arm: Campaign, tiny: Campaign) -> None:
 
 def test_figures_of_both_are_of_the_same_points(clean: Estimate) -> None:
     rng = np.random.default_rng(4)
-    squares = refitted(clean, SIGMA * rng.standard_normal(clean.experiment.rows.measured.shape))
+    squares = refitted(clean, SIGMA * rng.standard_normal(clean.problem.rows.measured.shape))
     figures = compared(mean_norm(squares), squares)
     assert figures["least-squares"]["P_max"] == pytest.approx(norms(squares, squares.theta).max())

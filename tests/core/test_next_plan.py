@@ -66,7 +66,7 @@ def _weak(estimate: Estimate, s: Scored, share: float | None = None) -> list[Wea
     """To be found at their usual size, or at a share of what is found now."""
     out = []
     for k, slot in enumerate(s.candidate.slots):
-        parameter = parameter_of(slot, catalogue(), estimate.experiment.rows.robot)
+        parameter = parameter_of(slot, catalogue(), estimate.problem.rows.robot)
         now = float(s.unit_limit[k]) * FOUND**0.5
         out.append(Weak(s, k, FOUND, parameter, parameter.size if share is None else share * now))
     return out
@@ -200,7 +200,7 @@ def test_what_an_alternative_would_bring_is_what_its_fit_brings(simulated: Calla
     opened = on_campaign(identify(campaign), campaign)
     fitted = opened.refit("poses")
     estimate, rows = fitted.estimate, opened.rows("poses")
-    floor = noise_floor(estimate.experiment.rows, estimate.residual)
+    floor = noise_floor(estimate.problem.rows, estimate.residual)
     effects = {"wrist_coupling_friction": catalogue()["wrist_coupling_friction"]}
     scored = score(space_of(estimate), named_candidates(estimate, effects))
     s = next(s for s in scored if s.candidate.places == ("joint5",))

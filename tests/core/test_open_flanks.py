@@ -123,7 +123,7 @@ def test_a_pattern_of_flanks_is_fitted_as_if_it_were_held() -> None:
     campaign = leaning(3, 0.0)
     estimate = on_campaign(identify(campaign, {"poses": EFFECTS}), campaign).refit("poses").estimate
     theta, white, rng = estimate.theta, estimate.whitened, np.random.default_rng(0)
-    visit = np.unique(estimate.experiment.rows.unit, return_inverse=True)[1]
+    visit = np.unique(estimate.problem.rows.unit, return_inverse=True)[1]
     side = rng.choice([-1.0, 1.0], (3, visit.max() + 1, 1))
     gap = np.array([estimate.slots.index(Slot("backlash", "gap", "joint1"))])
     found, weight = _fitted(estimate, gap, visit, side, np.full(3, 1 / 3))

@@ -67,7 +67,7 @@ def test_what_is_left_of_a_log_of_ten_hertz_is_its_noise(seldom: tuple[Campaign,
     campaign, true, qdd = seldom
     opened = on_campaign(identify(campaign), campaign)
     estimate = opened.refit("free_air", opened.rows("free_air")).estimate
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     noise = (rows.measured - true).std(axis=0)
     assert rows.used.sum(axis=0).min() > 200
     for motor in range(rows.robot.n):

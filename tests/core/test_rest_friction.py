@@ -71,7 +71,7 @@ def test_a_profile_is_what_fits_with_the_friction_held_there():
     at = int(near[np.argmax(profile.cost[near])])
     theta, mean = estimate.theta.copy(), estimate.prior_mean.copy()
     theta[k] = mean[k] = profile.value[at]
-    found = solve(estimate.experiment, theta, estimate.noise, estimate.prior_precision, mean)
+    found = solve(estimate.problem, theta, estimate.noise, estimate.prior_precision, mean)
     lost = _cost(found) - _cost(estimate)
     assert lost > 20.0
     assert profile.cost[at] - profile.cost[best] == pytest.approx(lost, rel=0.1, abs=3.0)

@@ -88,6 +88,6 @@ def test_the_file_keeps_them_and_one_session_has_its_own(
 def test_diagnosis_does_not_look_for_them(few_rows: dict[Stage, Rows]):
     effects = catalogue()
     trial = fit_problem(few_rows["poses"], effects, ())
-    looked_for = {term.effect for term in terms_not_active(SimpleNamespace(slots=(), experiment=trial), effects)}  # type: ignore[arg-type]
+    looked_for = {term.effect for term in terms_not_active(SimpleNamespace(slots=(), problem=trial), effects)}  # type: ignore[arg-type]
     assert {"payload", "instrument_scale"} <= looked_for
     assert not {"session_payload", "session_scale"} & looked_for

@@ -77,8 +77,8 @@ def test_residual_and_columns_pass_one_filter(simulated: Callable[..., Campaign]
     campaign = simulated(seed=3, poses=40, tables=("free_air", "wrist", "poses"))
     opened = on_campaign(identify(campaign), campaign)
     estimate = opened.refit(stage, opened.rows(stage)).estimate
-    rows = estimate.experiment.rows
-    residual, jacobian = estimate.experiment.residual(estimate.theta)
+    rows = estimate.problem.rows
+    residual, jacobian = estimate.problem.residual(estimate.theta)
     plain = Noise(estimate.noise.sigma, estimate.noise.autocorrelations, estimate.noise.together)
     count = rows.measured.shape[1]
     wandering = Noise(plain.sigma, plain.autocorrelations, plain.together, wander=(1e-3,) * count)
@@ -142,7 +142,7 @@ def test_a_smooth_swing_of_the_instrument_is_no_wandering(tmp_path: Path) -> Non
 
 def lasting(estimate: Estimate) -> tuple[list[Course], list[np.ndarray], list[np.ndarray]]:
     """Courses, residuals and Jacobians of the points' coordinates."""
-    white, rows = estimate.whitened, estimate.experiment.rows
+    white, rows = estimate.whitened, estimate.problem.rows
     own = [white.channel == c for c in range(3)]
     return (
         [course_of(rows, white.entry[o]) for o in own],

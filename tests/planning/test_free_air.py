@@ -48,7 +48,7 @@ def test_it_tells_more_than_random_stops_in_the_same_time(free_air: Plan, cell: 
     noise, _ = torque_noise_of(cell, None, None)
     bench = LogBench(cell, catalogue(), STANDARD["free_air"], noise, 10.0)
     size = np.outer(bench.size, bench.size)
-    prior = prior_precision(bench.experiment) * size
+    prior = prior_precision(bench.problem) * size
 
     def value(plans: list) -> float:
         return log_det(prior + sum(t.information.sum(axis=0) * size for t in bench.tell(plans)))

@@ -146,7 +146,7 @@ def test_what_one_of_both_fits_does_not_determine_has_no_shift(arm: Campaign):
     def fit(theta: list[float], identified: list[bool]) -> Any:
         std = np.full(3, 1e-6)
         return SimpleNamespace(
-            slots=slots, theta=np.array(theta), std=std, identified=np.array(identified), experiment=problem
+            slots=slots, theta=np.array(theta), std=std, identified=np.array(identified), problem=problem
         )
 
     before, after = fit([0.0, 0.0, 0.0], [True, False, True]), fit([1e-4, 5e-2, 5e-2], [True, True, False])

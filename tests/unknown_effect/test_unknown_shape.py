@@ -62,17 +62,17 @@ def clean(simulated):
 
 def lever_of(estimate, joint: int) -> np.ndarray:
     """What a unit of a joint's angle does to each point ``(N, 3)``, by turning it a little."""
-    rows = estimate.experiment.rows
+    rows = estimate.problem.rows
     q = rows.signals["q"].copy()
     q[:, joint - 1] += 1e-6
-    turned = estimate.experiment.with_rows(replace(rows, signals={**rows.signals, "q": q}))
+    turned = estimate.problem.with_rows(replace(rows, signals={**rows.signals, "q": q}))
     return -(turned.residual(estimate.theta)[0] - estimate.residual)[:, :3] / 1e-6
 
 
 @pytest.mark.slow
 def test_the_band_holds_the_true_curve_as_often_as_it_says(clean):
     """Forty robots with the same error of joint 3 and noise of their own: about two may lie outside."""
-    rows, lever = clean.experiment.rows, lever_of(clean, 3)
+    rows, lever = clean.problem.rows, lever_of(clean, 3)
     q3 = rows.signals["q"][:, 2]
     outside = 0
     for seed in range(40):
@@ -80,7 +80,7 @@ def test_the_band_holds_the_true_curve_as_often_as_it_says(clean):
         predicted = rows.measured - clean.residual
         each = 2e-5 * rng.standard_normal((int(rows.unit.max()) + 1, 3))[rows.unit]  # shared by a pose's points
         error = (AMPLITUDE * np.sin(3 * q3))[:, None] * lever + each + rng.normal(0.0, 5e-5, (len(rows), 3))
-        trial = fit(clean.experiment.with_rows(replace(rows, measured=predicted + error)))
+        trial = fit(clean.problem.with_rows(replace(rows, measured=predicted + error)))
         space = space_of(trial)
         probe = next(s for s in score(space, probes(trial)) if s.candidate.label == "harmonics of q3 at joint3@joint3")
         shape = shape_of(trial, space, probe, ["q3"], 0)
