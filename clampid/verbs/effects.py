@@ -69,10 +69,14 @@ def _all(found: Mapping[str, Effect]) -> Screen:
 
     facts, said = [], set[str]()
     for kind in sorted(kinds(), key=lambda kind: not kind.points):
-        names = sorted({e.family for e in found.values() if kind.has(e) and e.family not in said})
-        also = "" if not said else "also "
-        facts.append((kind.name, f"{kind.words.rows}: {also}{', '.join(name.replace('_', ' ') for name in names)}"))
-        said |= set(names)
+        acting = {e.family for e in found.values() if kind.has(e)}
+        names = ", ".join(name.replace("_", " ") for name in sorted(acting - said))
+        if not names:
+            names = f"{len(acting)} of the families above"
+        elif said:
+            names = f"also {names}"
+        facts.append((kind.name, f"{kind.words.rows}: {names}"))
+        said |= acting
     return Screen(
         f"{len(found)} effects of {len({e.family for e in found.values()})} families, by the stage in which they act:",
         facts=tuple(facts),

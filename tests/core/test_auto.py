@@ -110,7 +110,7 @@ def test_a_round_keeps_what_spoke_for_it_and_against_all_else(
 
 def test_what_was_fitted_and_refused_comes_first_and_once(arm: Campaign, first: Model):
     opened = on_campaign(first, arm)
-    scores = scores_of(opened.refit("poses").estimate, dict(opened.effects), 39, 0)
+    scores = scores_of(opened.refit("poses").estimate, dict(opened.effects), 99, 0)
     best = scores.best()
     assert best is not None
     others = evidence_of({"p_value": 1e-9, "parameters": []}, best, scores, [])
@@ -139,7 +139,7 @@ def test_limits_are_those_of_what_is_not_in_the_model_in_the_end(arm: Campaign, 
         assert all(0.0 < limit["limit"] <= IMPOSSIBLE * limit["size"] for limit in told)
     # Springs hid in their residual what a gear of the same arm would be seen by.
     start = diagnose(identify(arm, (*START, "joint_compliance", "thermal_expansion@link2")), arm).stages["poses"]
-    before = scores_of(on_campaign(identify(arm, START), arm).refit("poses").estimate, catalogue(), 39, 0)
+    before = scores_of(on_campaign(identify(arm, START), arm).refit("poses").estimate, catalogue(), 99, 0)
     hidden = testability.testability_of(before.named, before.named_null, catalogue(), arm.robot)
     smallest = [
         min(limit["limit"] for e in several if e["name"] == "gear_eccentricity" for limit in e["limits"])
