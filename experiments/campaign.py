@@ -101,14 +101,14 @@ class Campaign:
         return str((self.path / named).resolve())
 
 
-def read_campaign(folder: str | Path, *, held: float = inf) -> Campaign:
+def read_campaign(folder: str | Path, *, rows_in_memory: float = inf) -> Campaign:
     """Read a campaign folder and check it against the format.
 
     Parameters
     ----------
     folder
         The folder with ``campaign.toml``.
-    held
+    rows_in_memory
         How many rows of a torque log may be held. Of a Parquet file with more of them, every row is checked all the
         same, but ``tables`` has an extract only, and ``long`` the file.
 
@@ -133,7 +133,7 @@ def read_campaign(folder: str | Path, *, held: float = inf) -> Campaign:
             protect(source.path)
             layout = table_format(name, header.robot.n)
             behind_gears = name in header.at_joints
-            if name in LOGS and not behind_gears and is_long(source.path, held):
+            if name in LOGS and not behind_gears and is_long(source.path, rows_in_memory):
                 long[name], tables[name] = read_long(source.path, layout, header.robot.n)
                 continue
             frame = validate_table(read_table(source.path), layout, source, header.targets)

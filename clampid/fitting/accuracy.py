@@ -243,7 +243,7 @@ def counted(estimate: Estimate, verification: Rows | None) -> tuple[Rows, Array]
 
 
 def unseen(
-    estimate: Estimate, rows: Rows, held: Sequence[Sequence[int]], verification: Rows | None, seed: int
+    estimate: Estimate, rows: Rows, held_out: Sequence[Sequence[int]], verification: Rows | None, seed: int
 ) -> tuple[Rows, Array]:
     """Rows that no fit has seen, with their residuals.
 
@@ -254,8 +254,8 @@ def unseen(
     if verification is not None:
         residual = predicted(estimate.problem.with_rows(verification), estimate.theta[:count])
         return without_outlying(verification, residual, fitted, left), residual
-    if held and any(held):
-        test = rows.take(np.flatnonzero(rows.in_folds(held)))
+    if held_out and any(held_out):
+        test = rows.take(np.flatnonzero(rows.in_folds(held_out)))
         return test, predicted(estimate.problem.with_rows(test), estimate.theta[:count])
     return cross_validated(estimate, fitted, seed)
 
@@ -263,7 +263,7 @@ def unseen(
 def stage_errors(
     estimate: Estimate,
     rows: Rows,
-    held: Sequence[Sequence[int]],
+    held_out: Sequence[Sequence[int]],
     verification: Rows | None,
     seed: int,
     floor: Floor | None = None,
@@ -277,7 +277,7 @@ def stage_errors(
     fitted, left = counted(estimate, verification)
     if floor is None or len(left) < len(estimate.residual):
         floor = noise_floor(fitted, left)
-    test, residual = unseen(estimate, rows, held, verification, seed)
+    test, residual = unseen(estimate, rows, held_out, verification, seed)
     level = floor.norm if rows.kind.points else 1.0
     return StageErrors(
         rms=rms_of(fitted, left, floor),

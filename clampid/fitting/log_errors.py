@@ -68,7 +68,7 @@ class _Floor:
 
 
 def log_errors(
-    design: LogDesign, fit: LogFit, prior: LogPrior, folds: Rows, kept: Bools, held: bool, seed: int
+    design: LogDesign, fit: LogFit, prior: LogPrior, folds: Rows, kept: Bools, some_held_out: bool, seed: int
 ) -> StageErrors:
     """Errors on fitted and held-out rows: the folds kept out, else cross-validation, in units of the motors' noise.
 
@@ -78,10 +78,10 @@ def log_errors(
         One row per fold ``(F,)``.
     kept
         Which folds were fitted ``(F,)``.
-    held
+    some_held_out
         Whether the others were held out on purpose.
     """
-    if held:
+    if some_held_out:
         white = summed(design, ~kept, _NONE, LogNoise(np.ones(design.n)))[0]
         theta = _with_offsets(design, white, fit.moments.at, prior, ~kept)[None]
         part = np.zeros(len(kept), dtype=np.int64)
@@ -90,12 +90,12 @@ def log_errors(
         theta = cross_fitted(design, fit, prior, kept, part)
     floor = _Floor(max(1, round(QUIET_S / max(design.facts.spacing, 1e-9))), design.n)
     fitted, test = _Squares.none(design.n), _Squares.none(design.n)
-    for found in residuals(design, np.ones_like(kept) if held else kept, fit.outliers, fit.moments.at):
+    for found in residuals(design, np.ones_like(kept) if some_held_out else kept, fit.outliers, fit.moments.at):
         block = found[0].block
         table, tested = np.full((block.stop - block.first, design.n), np.nan), np.zeros(block.stop - block.first, bool)
         for r in found:
             own = np.arange(r.own, len(r.row))
-            own, out = (own[kept[r.fold[own]]], own[~kept[r.fold[own]]]) if held else (own, own)
+            own, out = (own[kept[r.fold[own]]], own[~kept[r.fold[own]]]) if some_held_out else (own, own)
             table[r.row[own] - block.first, r.motor] = r.values[own]
             fitted.add(r.motor, r.values[own])
             test.add(r.motor, r.at(theta, part)[out])

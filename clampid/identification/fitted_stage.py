@@ -116,7 +116,7 @@ def fit_stage(
     terms: Sequence[Term],
     others: Mapping[Stage, StageModel] | Prior,
     start: Mapping[Slot, float] | None = None,
-    held: Sequence[Sequence[int]] = (),
+    held_out: Sequence[Sequence[int]] = (),
     cost: Cost = "least-squares",
     last: Estimate | None = None,
 ) -> FittedStage:
@@ -143,7 +143,7 @@ def fit_stage(
     if carried_prior is None and not start and open_turns(rows):
         trial = fit_problem(rows, effects, active_slots(rows, effects, terms))
         rows = from_likeliest_turn(trial, carried_over(rows, before, effects)[0])
-    fitted_rows = rows.outside(held)
+    fitted_rows = rows.outside(held_out)
 
     weights = last.noise if last is not None and rows.kind.points else None
 
@@ -191,7 +191,7 @@ def fit_stage(
         for s in np.unique(rows.session):
             reference[int(s)] = rows.pose.base_reference[np.flatnonzero(rows.session == s)[0]]
     return FittedStage(
-        _model_of(estimate, rows, terms, held, carried_prior), estimate, reference, rows, contradicted, universal
+        _model_of(estimate, rows, terms, held_out, carried_prior), estimate, reference, rows, contradicted, universal
     )
 
 
@@ -207,7 +207,11 @@ def _is_geometry(term: Term, effects: Mapping[str, Effect]) -> bool:
 
 
 def _model_of(
-    estimate: Estimate, rows: Rows, terms: Sequence[Term], held: Sequence[Sequence[int]], carried_prior: Prior | None
+    estimate: Estimate,
+    rows: Rows,
+    terms: Sequence[Term],
+    held_out: Sequence[Sequence[int]],
+    carried_prior: Prior | None,
 ) -> StageModel:
     count, fitted = len(estimate.slots), estimate.problem.rows
     bad = np.flatnonzero(estimate.outliers)
@@ -220,7 +224,7 @@ def _model_of(
         theta=estimate.theta[:count],
         covariance=estimate.covariance[:count, :count],
         identified=tuple(bool(b) and k not in unknown for k, b in enumerate(estimate.identified[:count])),
-        held_out=tuple(tuple(f) for f in held),
+        held_out=tuple(tuple(f) for f in held_out),
         outliers=tuple((int(fitted.session[i]), str(fitted.table[i]), int(fitted.row[i])) for i in bad),
         null_directions=(*(turn.words(sessions[turn.session]) for turn in turns), *null_directions(estimate)),
         base=base_parameters(estimate),

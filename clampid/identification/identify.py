@@ -203,8 +203,8 @@ def identify(
             parts.append(log.fit(held_out_folds(log.folds, holdout, seed), seed=seed))
         else:
             rows = stage_rows(several, layout, stage, active=active)
-            held, own = held_out_folds(rows, holdout, seed), cost if kind_of(stage).points else "least-squares"
-            fitted = fit_stage(rows, catalogue, wanted, before, held=held, cost=own)
+            held_out, own = held_out_folds(rows, holdout, seed), cost if kind_of(stage).points else "least-squares"
+            fitted = fit_stage(rows, catalogue, wanted, before, held_out=held_out, cost=own)
             parts.append(fitted if joint else fitted.with_best_weights(seed))
         before[stage] = parts[-1].model
     alone = parts

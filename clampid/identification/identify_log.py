@@ -60,8 +60,8 @@ class FittedLog:
 
     def errors(self, verification: Rows | None, seed: int) -> StageErrors:
         """Errors on fitted and held-out rows; no log has a table of its own to be verified by."""
-        held = any(self.model.held_out)
-        return log_errors(self.stage.design, self.fit, self.prior, self.stage.folds, self.kept, held, seed)
+        some_held_out = any(self.model.held_out)
+        return log_errors(self.stage.design, self.fit, self.prior, self.stage.folds, self.kept, some_held_out, seed)
 
     @property
     def evidence(self) -> dict[str, Any]:
@@ -123,7 +123,7 @@ class LogStage:
 
     def fit(
         self,
-        held: Sequence[Sequence[int]],
+        held_out: Sequence[Sequence[int]],
         start: Mapping[Slot, float] | None = None,
         seed: int = 0,
         *,
@@ -145,7 +145,7 @@ class LogStage:
         clampid.fitting.solve.FitError
             There are no rows to fit, or the model gives no finite prediction.
         """
-        kept = ~self.folds.in_folds(held) if held else np.ones(len(self.folds), dtype=bool)
+        kept = ~self.folds.in_folds(held_out) if held_out else np.ones(len(self.folds), dtype=bool)
         priors = description_priors(self.folds)
         at = start_of(self.problem, start, priors)
         precision, mean = prior_of(self.problem, priors)
@@ -156,7 +156,7 @@ class LogStage:
         if not correlated:
             fit, weights = best_weighted(self.design, fit, prior, kept, part)
         covariance = covariance_of(fit.moments.normal, prior.precision, fit.moments.squares, fit.moments.count)
-        model = self.model_of(fit, prior, covariance, kept, tuple(tuple(f) for f in held))
+        model = self.model_of(fit, prior, covariance, kept, tuple(tuple(f) for f in held_out))
         return FittedLog(self, model, fit, prior, covariance, kept, weights)
 
     def model_of(
@@ -165,7 +165,7 @@ class LogStage:
         prior: LogPrior,
         covariance: Array,
         kept: Bools,
-        held: tuple[tuple[int, ...], ...],
+        held_out: tuple[tuple[int, ...], ...],
         carried_prior: Prior | None = None,
     ) -> StageModel:
         """The stage's model of a fit with ``covariance`` ``(P + K, P + K)`` of the folds ``kept`` ``(F,)``."""
@@ -183,7 +183,7 @@ class LogStage:
             theta=fit.moments.at[:count],
             covariance=own,
             identified=tuple(bool(b) for b in std < self.problem.clear()[:count]),
-            held_out=held,
+            held_out=held_out,
             outliers=tuple(self._place(int(row)) for row in fit.outliers),
             null_directions=named_directions(information, size, slots, prior.precision[inside], assumed),
             base=self._base(fit, own, prior.precision[:count, :count]),

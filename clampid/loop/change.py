@@ -67,13 +67,13 @@ class Change:
 def change_between(
     before: FittedStage,
     after: FittedStage,
-    held: Sequence[Sequence[int]],
+    held_out: Sequence[Sequence[int]],
     verification: Rows | None,
     seed: int,
     floor: Floor,
 ) -> Change:
     """The change of a stage's held-out error from one fit to another; torques in units of ``floor``."""
-    (old, was), (new, now) = (unseen(f.estimate, f.rows, held, verification, seed) for f in (before, after))
+    (old, was), (new, now) = (unseen(f.estimate, f.rows, held_out, verification, seed) for f in (before, after))
     (size_old, counts_old), (size_new, counts_new) = size_of(old, was, floor), size_of(new, now, floor)
     both = counts_old & counts_new
     fold = new.fold if both.ndim == 1 else np.repeat(new.fold[:, None], both.shape[1], axis=1)

@@ -123,7 +123,7 @@ class _Prepared:
 
 
 @dataclass
-class _Held:
+class _Carried:
     """The way that joints and motors last moved, before a window begins."""
 
     run: int
@@ -264,13 +264,13 @@ class LogDesign:
         for p, part in enumerate(self.parts):
             warm = [c for c in part.table.names if c.startswith("temp_")]
             chosen = names + (warm if any(map(reads_temperatures, read)) else [])
-            held: _Held | None = None
+            carried: _Carried | None = None
             for w in windows(part.table, chosen, self.window, self.facts.halo):
-                prepared, held = self._prepare(w, p, before, held)
+                prepared, carried = self._prepare(w, p, before, carried)
                 yield prepared
             before += part.table.rows
 
-    def _prepare(self, w: Window, p: int, before: int, held: _Held | None) -> tuple[_Prepared, _Held | None]:
+    def _prepare(self, w: Window, p: int, before: int, carried: _Carried | None) -> tuple[_Prepared, _Carried | None]:
         part, facts = self.parts[p], self.facts
         kernel = self.kernels[part.session]
         motion = facts.motions.of(p, w)
@@ -278,7 +278,7 @@ class LogDesign:
         first_run = int(np.searchsorted(facts.runs[:, 0], p))
         run = first_run + np.searchsorted(facts.runs[facts.runs[:, 0] == p, 1], number)
         every = motion_signals(motion, self.T, facts, run, time)
-        held = self._held_on(every, w, run, held)
+        carried = self._carried_on(every, w, run, carried)
         measured = stacked(w, joint_columns("tau", "Nm", self.n))
         counts = counting(every, self.T, facts, run, self.wrist, self.accelerating) & motion.resolved[:, None]
         # Rows before the window's own are needed as far as the noise remembers.
@@ -302,7 +302,7 @@ class LogDesign:
             fold=fold[chosen],
             bare=Block(first, first + w.stop - w.start, run[mine], fold[mine], ()),
         )
-        return prepared, held
+        return prepared, carried
 
     def _block(self, window: _Prepared) -> Block:
         """A window's channels at the parameters that the design is about."""
@@ -338,15 +338,17 @@ class LogDesign:
             )
         return replace(window.bare, channels=tuple(channels))
 
-    def _held_on(self, signals: dict[str, Array], w: Window, run: Integers, held: _Held | None) -> _Held | None:
+    def _carried_on(
+        self, signals: dict[str, Array], w: Window, run: Integers, carried: _Carried | None
+    ) -> _Carried | None:
         """Carry the signs of the last motion on from before the window, and say what they are before the next."""
         joint, motor = signals["joint_motion"], signals["motor_motion"]
-        if held is not None:
-            for signs, old in ((joint, held.joint), (motor, held.motor)):
-                signs[:] = np.where((signs == 0) & (run == held.run)[:, None], old, signs)
+        if carried is not None:
+            for signs, old in ((joint, carried.joint), (motor, carried.motor)):
+                signs[:] = np.where((signs == 0) & (run == carried.run)[:, None], old, signs)
             signals["own_motion"] = joint * np.sign(np.diag(self.T))
         at = w.stop - self.facts.halo - 1  # the row before the next window's first
-        return _Held(int(run[at]), joint[at].copy(), motor[at].copy()) if at >= 0 else None
+        return _Carried(int(run[at]), joint[at].copy(), motor[at].copy()) if at >= 0 else None
 
     def _still(self, run: Integers, motor: int) -> tuple[Integers, Array]:
         """The friction of joints that stand still in these rows' runs: which parameters, and their columns."""

@@ -67,9 +67,9 @@ def log_parts(campaigns: Sequence[Campaign]) -> list[LogPart]:
     """The tables free_air and wrist of campaigns, in order; temperatures that were not read are filled in."""
     out = []
     for s, campaign in enumerate(campaigns):
-        held = {name: campaign.placed(name) for name in LOGS if name in campaign.tables}
-        for name, table in held.items():
-            others = [other for key, other in held.items() if key != name]
+        logs = {name: campaign.placed(name) for name in LOGS if name in campaign.tables}
+        for name, table in logs.items():
+            others = [other for key, other in logs.items() if key != name]
             whole = campaign.long[name].table if name in campaign.long else LogTable.of(filled(table, others))
             out.append(LogPart(campaign, s, name, whole))
     return out
@@ -245,7 +245,7 @@ def stacked(window: Window, names: Sequence[str]) -> Array:
 def facts_of(
     parts: Sequence[LogPart],
     window: int = WINDOW,
-    held: int = 1 << 22,
+    in_memory: int = 1 << 22,
 ) -> LogFacts:
     """Find the facts of a log.
 
@@ -255,22 +255,22 @@ def facts_of(
         Its tables, in order.
     window
         Rows read at once.
-    held
+    in_memory
         How many numbers may be held for a median; see `experiments.signals.medians`.
     """
     one = parts[0].campaign if len({part.session for part in parts}) == 1 else None
-    key = tuple(part.name for part in parts), window, held
+    key = tuple(part.name for part in parts), window, in_memory
     if one is not None and key in _KNOWN.get(one, {}):
         return _KNOWN[one][key]
-    facts = _facts_of(parts, window, held)
+    facts = _facts_of(parts, window, in_memory)
     if one is not None:
         _KNOWN.setdefault(one, {})[key] = facts
     return facts
 
 
-def _facts_of(parts: Sequence[LogPart], window: int, held: int) -> LogFacts:
+def _facts_of(parts: Sequence[LogPart], window: int, in_memory: int) -> LogFacts:
     n = parts[0].campaign.robot.n
-    middle = medians(lambda: _differences(parts, n), held)
+    middle = medians(lambda: _differences(parts, n), in_memory)
     step = float(middle[0]) if np.isfinite(middle[0]) else 1.0
     names_qd = joint_columns("qd", "rad_s", n)
     logged = all(set(names_qd) <= set(p.table.names) for p in parts) and not _missing(parts, names_qd)

@@ -140,18 +140,18 @@ class Rows:
         kind = [(str(self.table[first[k]]), int(driven[first[k]])) for k in order]
         return np.asarray(folds[order[sorted(range(len(order)), key=lambda i: kind[i])]])
 
-    def in_folds(self, held: Sequence[Sequence[int]]) -> Bools:
+    def in_folds(self, held_out: Sequence[Sequence[int]]) -> Bools:
         """Which rows ``(N,)`` are in the given folds (per session their local numbers)."""
         out, local = np.zeros(len(self), dtype=bool), self.local_fold
-        for s, folds in enumerate(held):
+        for s, folds in enumerate(held_out):
             out |= (self.session == s) & np.isin(local, list(folds))
         return out
 
-    def outside(self, held: Sequence[Sequence[int]]) -> Rows:
+    def outside(self, held_out: Sequence[Sequence[int]]) -> Rows:
         """All rows but those of the given folds: the same object each time, as dozens of fits keep it."""
-        key = tuple(tuple(folds) for folds in held)
+        key = tuple(tuple(folds) for folds in held_out)
         if key not in self._outside:
-            self._outside[key] = self.take(~self.in_folds(held)) if key else self
+            self._outside[key] = self.take(~self.in_folds(held_out)) if key else self
         return self._outside[key]
 
     @cached_property

@@ -38,7 +38,7 @@ def check(
     from experiments.long_log import LONG_ROWS
 
     out = Output(quiet, json, verbose)
-    read = read_campaign(campaign, held=LONG_ROWS)
+    read = read_campaign(campaign, rows_in_memory=LONG_ROWS)
     holds, findings = holdings(read), check_campaign(read, fits=not iso9283)
     standard = standard_effects([read]) if stages_of([read]) else {}
     stages: dict[str, Any] = {

@@ -63,7 +63,7 @@ def identify(
     from experiments.long_log import LONG_ROWS
 
     with out.working("reading"):
-        read = read_checked(campaigns, out, held=LONG_ROWS, fits=fits_geometry(chosen))
+        read = read_checked(campaigns, out, rows_in_memory=LONG_ROWS, fits=fits_geometry(chosen))
     with out.working("identifying"):
         model = fit_model(
             read,

@@ -19,10 +19,12 @@ if TYPE_CHECKING:
 __all__ = ["finding_text", "fits_geometry", "numbers_of", "read_checked", "split_effects", "split_terms"]
 
 
-def read_checked(folders: Sequence[Path], out: Output, held: float = inf, *, fits: bool = False) -> list[Campaign]:
+def read_checked(
+    folders: Sequence[Path], out: Output, rows_in_memory: float = inf, *, fits: bool = False
+) -> list[Campaign]:
     """Read campaigns and look at them: warnings are printed, errors refuse the campaign.
 
-    ``held``: how many rows of a torque log may be held; `experiments.campaign.read_campaign`.
+    ``rows_in_memory``: how many rows of a torque log may be held; `experiments.campaign.read_campaign`.
     ``fits``: whether a geometry is fitted to them; one campaign alone needs enough poses for that.
 
     Raises
@@ -35,7 +37,7 @@ def read_checked(folders: Sequence[Path], out: Output, held: float = inf, *, fit
 
     campaigns = []
     for folder in folders:
-        campaign = read_campaign(folder, held=held)
+        campaign = read_campaign(folder, rows_in_memory=rows_in_memory)
         findings = check_campaign(campaign, fits=fits and len(folders) == 1)
         for finding in findings:
             if finding.severity == "warning":

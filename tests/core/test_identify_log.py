@@ -50,15 +50,15 @@ def held_whole(
 ) -> tuple[FittedStage, StageErrors, tuple[tuple[int, ...], ...]]:
     effects, layout, terms = catalogue(), layout_of(campaigns), [Term(n) for n in names]
     rows = stage_rows(campaigns, layout, "free_air", active=effects_in(terms, effects))
-    held = held_out_folds(rows, holdout, 0)
-    fitted = fit_stage(rows, effects, terms, {}, held=held)
-    return fitted, stage_errors(fitted.estimate, rows, held, None, 0), held
+    held_out = held_out_folds(rows, holdout, 0)
+    fitted = fit_stage(rows, effects, terms, {}, held_out=held_out)
+    return fitted, stage_errors(fitted.estimate, rows, held_out, None, 0), held_out
 
 
 def by_windows(
     campaigns: Sequence[Campaign],
     names: Sequence[str],
-    held: Sequence[Sequence[int]] = (),
+    held_out: Sequence[Sequence[int]] = (),
     window: int = 1 << 14,
     kept: int = 1 << 28,
     parts: Sequence[LogPart] | None = None,
@@ -72,7 +72,7 @@ def by_windows(
         window=window,
         kept_bytes=kept,
     )
-    return stage.fit(held, correlated=True)
+    return stage.fit(held_out, correlated=True)
 
 
 def assert_same(found: FittedLog, expected: FittedStage, errors: StageErrors) -> None:
@@ -95,9 +95,9 @@ def assert_same(found: FittedLog, expected: FittedStage, errors: StageErrors) ->
 @pytest.mark.parametrize("holdout", [0.0, 0.3])
 @pytest.mark.parametrize(("window", "kept"), [(1 << 14, 1 << 28), (1700, 0)])
 def test_two_tables_with_standing_joints(both: Campaign, holdout: float, window: int, kept: int) -> None:
-    fitted, errors, held = held_whole([both], STANDARD, holdout)
+    fitted, errors, held_out = held_whole([both], STANDARD, holdout)
     assert len(fitted.estimate.theta) > len(fitted.model.slots)  # some joints stand still for whole runs
-    assert_same(by_windows([both], STANDARD, held, window, kept), fitted, errors)
+    assert_same(by_windows([both], STANDARD, held_out, window, kept), fitted, errors)
 
 
 def test_accelerated_rows_temperatures_and_loads(free_air: Campaign) -> None:
@@ -115,10 +115,10 @@ def test_log_denser_than_its_design_can_follow(free_air: Campaign, window: int, 
     table.loc[[400, 900, 1701], "tau2_Nm"] += 50.0
     dense = replace(free_air, tables={"free_air": table})
     names = (*STANDARD, "inertia")
-    fitted, errors, held = held_whole([dense], names, holdout)
+    fitted, errors, held_out = held_whole([dense], names, holdout)
     assert fitted.estimate.noise.together == 3
     assert fitted.model.outliers
-    assert_same(by_windows([dense], names, held, window, kept), fitted, errors)
+    assert_same(by_windows([dense], names, held_out, window, kept), fitted, errors)
 
 
 def test_outliers_are_the_same(free_air: Campaign) -> None:
@@ -184,8 +184,8 @@ def test_every_row_is_of_one_window_and_has_its_neighbours() -> None:
 @pytest.mark.parametrize(("window", "kept"), [(1 << 14, 1 << 28), (1700, 0)])
 def test_shape_parameters_are_those_of_the_log_held(both: Campaign, holdout: float, window: int, kept: int) -> None:
     names = (*STANDARD, "stribeck_friction")
-    fitted, errors, held = held_whole([both], names, holdout)
-    found = by_windows([both], names, held, window, kept)
+    fitted, errors, held_out = held_whole([both], names, holdout)
+    found = by_windows([both], names, held_out, window, kept)
     assert not found.stage.linear
     assert_same(found, fitted, errors)
 

@@ -31,18 +31,18 @@ def whole(folder: Path) -> Campaign:
 
 @pytest.fixture(scope="module")
 def pieces(folder: Path) -> Campaign:
-    return read_campaign(folder, held=1000)
+    return read_campaign(folder, rows_in_memory=1000)
 
 
 @pytest.mark.parametrize("effects", [None, ("gravity", "coulomb_friction", "viscous_friction", "stribeck_friction")])
 def test_the_model_is_that_of_the_log_held(whole: Campaign, pieces: Campaign, effects: tuple[str, ...] | None) -> None:
     assert set(pieces.long) == {"free_air", "wrist"}
-    held, read = identify(whole, effects, holdout=0.2, seed=3), identify(pieces, effects, holdout=0.2, seed=3)
-    a, b = held.stages["free_air"], read.stages["free_air"]
+    in_memory, read = identify(whole, effects, holdout=0.2, seed=3), identify(pieces, effects, holdout=0.2, seed=3)
+    a, b = in_memory.stages["free_air"], read.stages["free_air"]
     assert (a.slots, a.held_out, a.outliers, a.identified) == (b.slots, b.held_out, b.outliers, b.identified)
     np.testing.assert_allclose(a.theta, b.theta, atol=1e-12)
     np.testing.assert_allclose(a.covariance, b.covariance, atol=1e-12)
-    assert held.sessions == read.sessions
+    assert in_memory.sessions == read.sessions
 
 
 def test_rows_that_have_to_be_held_are_those_of_the_file_and_not_of_the_extract(
@@ -50,7 +50,9 @@ def test_rows_that_have_to_be_held_are_those_of_the_file_and_not_of_the_extract(
 ) -> None:
     monkeypatch.setattr(long_log, "STRETCH_ROWS", 500)
     path = repeated(folder, tmp_path, "none", 20_000)
-    expected, found = (torque_rows([c], layout_of([c])) for c in (read_campaign(path), read_campaign(path, held=1000)))
+    expected, found = (
+        torque_rows([c], layout_of([c])) for c in (read_campaign(path), read_campaign(path, rows_in_memory=1000))
+    )
     np.testing.assert_array_equal(found.measured, expected.measured)
     np.testing.assert_array_equal(found.used, expected.used)
     np.testing.assert_array_equal(found.signals["link_temperature"], expected.signals["link_temperature"])
@@ -96,7 +98,7 @@ def repeated(folder: Path, to: Path, change: str, rows: int = 140_000) -> Path:
 )
 def test_bad_rows_far_down_are_named(folder: Path, tmp_path: Path, change: str, message: str) -> None:
     with pytest.raises(CampaignError, match=message):
-        read_campaign(repeated(folder, tmp_path, change), held=1000)
+        read_campaign(repeated(folder, tmp_path, change), rows_in_memory=1000)
 
 
 def test_the_extract_is_of_stretches_spread_over_the_log(
@@ -104,7 +106,7 @@ def test_the_extract_is_of_stretches_spread_over_the_log(
 ) -> None:
     monkeypatch.setattr(long_log, "STRETCH_ROWS", 1000)
     path = repeated(folder, tmp_path, "none")
-    log = read_campaign(path, held=1000)
+    log = read_campaign(path, rows_in_memory=1000)
     table, whole = log.tables["free_air"], read_campaign(path).tables["free_air"]
     expected = np.concatenate([np.arange(a, a + k) for a, k in log.long["free_air"].stretches])
     assert len(table) == len(expected) == long_log.STRETCHES * 1000
@@ -120,4 +122,4 @@ def test_a_damaged_file_is_named_as_ever(folder: Path, tmp_path: Path) -> None:
     broken = write_campaign(tmp_path / "broken", campaign.header, {"wrist": campaign.tables["wrist"]})
     (broken / "wrist.parquet").write_bytes(b"PAR1 no")
     with pytest.raises(CampaignError, match="truncated or damaged"):
-        read_campaign(broken, held=1000)
+        read_campaign(broken, rows_in_memory=1000)

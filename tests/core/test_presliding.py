@@ -92,7 +92,7 @@ def test_friction_that_creeps_at_rest_is_learned(simulated: Callable[..., Campai
     seen = (rows.fold == 1) & rows.used[:, 1]
     excess = []
     for terms in (standard, (*standard, Term("presliding_friction", "joint2"))):
-        fitted = fit_stage(rows, effects, terms, {}, held=((1,),))
+        fitted = fit_stage(rows, effects, terms, {}, held_out=((1,),))
         residual, _ = fit_problem(rows, effects, fitted.model.slots).residual(fitted.model.theta)
         sigma = noise_floor(rows, residual).sigma[1]
         excess.append(np.mean(residual[seen, 1] ** 2) / sigma**2 - 1.0)
