@@ -15,7 +15,6 @@ import casadi
 import numpy as np
 
 from clampid.catalogue import catalogue
-from clampid.effect import Effect
 from clampid.verbs.effects import STAGES, in_words
 
 DOCS = Path(__file__).parent
