@@ -6,6 +6,7 @@ of 80 columns. Words are never broken. What does not fit is left out, and the sc
 
 from __future__ import annotations
 
+import re
 import shlex
 import textwrap
 from collections.abc import Sequence
@@ -19,6 +20,11 @@ HEIGHT = 24
 _MOST_COMMANDS = 3
 _MOST_COMMAND_LINES = 6
 """Of all commands together; of several, the first is always shown."""
+
+_UNIT = r"(?:[nµm]?m|[mµ]?rad|deg|°|°?C|K|k?Nm?|k?g|m?s|min|h|k?Hz|[kMG]i?B|keV|ppm|[mk]?[AV]|σ|%)"
+_VALUE = re.compile(rf"[-−+]?\d[^\s]* (?:± \d[^\s]* )?{_UNIT}(?:[²³]|[/·]{_UNIT}[²³]?)*(?![\w/·])")
+"""A number with its unit, which one line keeps together: ``12.3 ± 0.4 µm``, ``9.0 h``."""
+_KEPT = "\ue000"  # of private use: no text that is printed has it
 
 Tone = Literal["", "good", "open", "bad", "title", "quiet", "command"]
 """How a line is meant; the terminal's colour follows from it."""
@@ -92,10 +98,16 @@ class Screen:
 
 
 def wrapped(text: str, width: int = WIDTH, first: str = "", rest: str = "") -> list[str]:
-    """Lines of whole words, each after its indent; a word that is longer than a line has one of its own."""
-    return textwrap.wrap(
-        text, width, initial_indent=first, subsequent_indent=rest, break_long_words=False, break_on_hyphens=False
+    """Lines of whole words, each after its indent; a word that is longer than a line has one of its own.
+
+    A number stays on the line of its unit, where a line has room for both.
+    """
+    room = width - max(len(first), len(rest))
+    whole = _VALUE.sub(lambda value: value[0].replace(" ", _KEPT) if len(value[0]) <= room else value[0], text)
+    lines = textwrap.wrap(
+        whole, width, initial_indent=first, subsequent_indent=rest, break_long_words=False, break_on_hyphens=False
     )
+    return [line.replace(_KEPT, " ") for line in lines]
 
 
 def laid_out(screen: Screen, width: int = WIDTH, height: int = HEIGHT) -> list[Line]:

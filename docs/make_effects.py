@@ -15,7 +15,6 @@ import casadi
 import numpy as np
 
 from clampid.catalogue import catalogue
-from clampid.effect import Effect
 from clampid.stages.stage_kind import kinds
 from clampid.verbs.effects import in_words
 
@@ -28,8 +27,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Geometry and links": ("geometry", "link_bending", "bearing_tilt", "base_tilt", "thermal_expansion"),
     "Joints and gears": ("gear_eccentricity", "coupling_ratio_error", "backlash", "joint_compliance",
                          "nonlinear_stiffness", "cross_coupled_stiffness", "hysteresis"),
-    "Weight and loads": ("gravity", "base_inclination", "payload", "gravity_compensator", "dress_pack", "inertia",
-                         "link_inertia"),
+    "Weight and loads": ("gravity", "base_inclination", "payload", "gravity_compensator", "dress_pack", "inertia"),
     "Friction": ("coulomb_friction", "viscous_friction", "stribeck_friction", "asymmetric_friction",
                  "load_dependent_friction", "temperature_dependent_friction", "wrist_coupling_friction"),
     "Motors and their signals": ("torque_ripple", "torque_offset", "time_lag"),
@@ -106,12 +104,8 @@ SIGNATURE: dict[str, tuple[str, str]] = {
         "A torque offset (its constant part), and a gravity compensator at the same joint.",
     ),
     "inertia": (
-        "Torques that are proportional to the acceleration.",
-        "A time lag of the log. The rotor's inertia and the link's are one number on one axis.",
-    ),
-    "link_inertia": (
-        "Torques that are proportional to accelerations of several joints.",
-        "Inertia of the rotors, on one axis.",
+        "Torques that are proportional to the acceleration: of the motor, or of several joints.",
+        "A time lag of the log. On one axis the inertia of the rotor and that of the link are one number.",
     ),
     "coulomb_friction": (
         "A step of the torque where the speed changes its sign.",
@@ -224,11 +218,6 @@ def picture() -> None:
     plt.close(figure)
 
 
-def family_of(effect: Effect) -> str:
-    """The key of an effect in the lists above: its family, or its own name where that has an entry."""
-    return effect.name if effect.name in SIGNATURE else effect.family
-
-
 def page() -> str:
     """The page, from the catalogue."""
     effects = sorted(catalogue().values(), key=lambda effect: effect.name)
@@ -237,9 +226,9 @@ def page() -> str:
         "",
         "<!-- Written by docs/make_effects.py from the catalogue; do not edit. -->",
         "",
-        f"The catalogue has {len(effects)} effects in {len({family_of(e) for e in effects})} groups. An effect is a "
+        f"The catalogue has {len(effects)} effects in {len({e.family for e in effects})} families. An effect is a "
         "physical cause of an error, with a few numbers that are fitted. `clampid effects NAME` prints one in full. "
-        "For each group the page says how it shows in the residual, and what it is confused with.",
+        "For each family the page says how it shows in the residual, and what it is confused with.",
         "",
         "![What effects look like: nine curves of error over angle, load or speed](../images/effects.png)",
         "",
@@ -253,7 +242,7 @@ def page() -> str:
             lines += [f"* **In the residual**: {shows}", f"* **Confused with**: {confused}", ""]
             lines += ["| effect | what it is | equation | seen in |", "|---|---|---|---|"]
             for effect in effects:
-                if family_of(effect) == family:
+                if effect.family == family:
                     seen = ", ".join(kind.name.replace("_", " ") for kind in ORDER if kind.has(effect))
                     words = in_words(effect).replace("|", "\\|")
                     equation = effect.equation.replace("|", "\\|")

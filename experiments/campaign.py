@@ -1,4 +1,4 @@
-"""Campaign folders: what was measured on one robot in one go, read, checked and written.
+"""Campaign folders, read, checked and written: the measurements of one robot in one session.
 
 The contract is ``CAMPAIGN_FORMAT.md``. A folder that follows it is read; one that does not raises `CampaignError`,
 which names the file, the row and column, what was expected and what was found. What is allowed but improbable
@@ -161,15 +161,15 @@ def read_campaign(folder: str | Path, *, rows_in_memory: float = inf) -> Campaig
 def _at_motors(frame: pd.DataFrame, transmission: FloatArray) -> pd.DataFrame:
     """A log whose torques were measured behind the gears, with those that the motors then have: T tau.
 
-    What rubs before the sensor is not in them. What rubs behind it reaches the motors through T, as friction of the
-    arm's side does.
+    Friction between motor and sensor is not in them. Friction behind the sensor reaches the motors through T, as
+    arm-side friction does.
     """
     names = [f"tau{i + 1}_Nm" for i in range(len(transmission))]
     return frame.assign(**dict(zip(names, (frame[names].to_numpy(np.float64) @ transmission.T).T, strict=True)))
 
 
 def _refuse_absent_sensors(header: Header, tables: Mapping[str, pd.DataFrame], path: Path) -> None:
-    """A sensor that no table has would be ignored in silence."""
+    """A sensor that no table has would be ignored without a message."""
     columns = dict.fromkeys(name for frame in tables.values() for name in temperature_columns(map(str, frame.columns)))
     for name in header.stated.sensors:
         if f"temp_{name}_C" not in columns:

@@ -1,4 +1,4 @@
-"""Of what kind a file is, by how it begins: what is written never replaces a file of another kind unasked."""
+"""The kind of a file, by its first bytes: a verb replaces a file of another kind only with ``--force``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Literal
 
 __all__ = ["LOOKED_AT", "OF_FORMAT", "Kind", "kind_of"]
 
-LOOKED_AT = 65536  # bytes of a file that say of what kind it is
+LOOKED_AT = 65536  # bytes of a file by which its kind is recognised
 
 Kind = Literal[
     "a model", "a diagnosis", "JSON", "HTML", "a picture (SVG)", "a URDF", "a plan", "a DH table",
@@ -74,7 +74,7 @@ def _by_format(found: re.Match[str] | None, otherwise: str) -> str:
 
 
 def _table(text: str) -> str:
-    """Kinds of tables are told by their first column."""
+    """The kind of a table, by its first column."""
     header = text.partition("\n")[0].strip()
     cells = re.split(r"[,;\t]", header)
     if len(cells) < 2 or not all(re.fullmatch(r"[\w\"'/%°()\[\]. -]{1,80}", cell) for cell in cells):

@@ -28,13 +28,13 @@ FloatArray = npt.NDArray[np.float64]
 
 # Gravity on the ground is 9.764 … 9.834 m/s²; a robot's tilt turns it but does not change its length.
 GRAVITY_RANGE = (9.7, 9.9)
-# The strongest serial robots carry 2.3 t, and no tool reaches 5 m from its flange: beyond, grams or millimetres.
+# The strongest serial robots carry 2.3 t, and no tool reaches 5 m from its flange. Larger numbers are g or mm.
 LONGEST_NAME = 100  # characters, of a target
 LONGEST_PATH = 4096
 LARGEST_MASS_KG = 3000.0
 FARTHEST_POINT_M = 5.0
-# A robot's own errors are of the order of 1 mm and 1 mrad. An instrument five (a hundred) times worse sees none of
-# them, while a usual one stated in mm (0.02 … 0.1), or in degrees or mrad, is above these.
+# A robot's own errors are of the order of 1 mm and 1 mrad. An instrument five (a hundred) times worse cannot measure
+# them. The usual numbers in mm (0.02 … 0.1), degrees or mrad exceed these limits, so a wrong unit is found.
 WORST_POSITION_STD_M = 5e-3
 WORST_ORIENTATION_STD_RAD = 0.1
 _STATED = {
@@ -209,7 +209,7 @@ def _whole(root: Section, folder: Path) -> Header:
 
 
 def header_in(root: Section, folder: Path) -> Header:
-    """What the keys and sections of a ``campaign.toml`` but its tables say; other keys are left to the caller.
+    """Read the keys and sections of a ``campaign.toml`` except its tables; other keys are left to the caller.
 
     Parameters
     ----------

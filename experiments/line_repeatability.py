@@ -1,4 +1,4 @@
-"""Repeatability along one line, of places that were measured again and again with one distance.
+"""Repeatability along one line, from repeated measurements of one distance at several places.
 
 At a place, distances come from one side (+) or from the other (-). With s the scatter about the mean of a place and a
 side, pooled over places, and B the difference of a place's two means,

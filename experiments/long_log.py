@@ -1,4 +1,4 @@
-"""Torque logs larger than the memory: every row is checked against the contract; an extract is kept for the checks."""
+"""Torque logs larger than memory: every row is checked against the contract, and an extract is kept for checks."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class LongLog:
 
     @property
     def words(self) -> str:
-        """What of it is judged by more than the contract."""
+        """What the checks beyond the contract judge of it."""
         rows = int(self.stretches[:, 1].sum())
         return (
             f"the log has {self.table.rows} rows: all of them follow the contract; the other findings on it are those "
@@ -71,7 +71,7 @@ def is_long(path: Path, rows: float) -> bool:
 
 
 def read_long(path: Path, layout: TableFormat, n: int) -> tuple[LongLog, pd.DataFrame]:
-    """Hold every row of a log against the contract, as `experiments.validate` does, and take an extract of it.
+    """Check every row of a log against the contract, as `experiments.validate` does, and take an extract.
 
     Parameters
     ----------

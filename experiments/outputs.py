@@ -1,4 +1,4 @@
-"""Every file that the program writes goes through here: whole, and on the disk, or not at all.
+"""Writes files: complete and on the disk, or not at all. Every file that the program writes goes through here.
 
 A regular file is written without a name or under a temporary one beside it, flushed to the disk, and renamed. Links are
 followed. Devices, pipes and ``/dev/stdout`` are written to directly, because a rename would replace them.

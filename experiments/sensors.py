@@ -1,4 +1,4 @@
-"""Temperatures put where ``[sensors]`` says that they were taken: each place has the weighted mean of its sensors."""
+"""Assigns temperatures to the places that ``[sensors]`` states: each place has the weighted mean of its sensors."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ __all__ = ["SimulationError", "declared_campaign", "hidden_file", "measured_camp
 
 
 class SimulationError(ValueError):
-    """What was asked of the virtual robot cannot be; the message says what can."""
+    """The virtual robot cannot do what was asked; the message says what it can do."""
 
 
 def hidden_file(folder: str | Path) -> Path:

@@ -1,4 +1,4 @@
-"""Reads one table of a campaign from CSV or Parquet, and finds the line of a row when something is wrong with it."""
+"""Reads one table of a campaign from CSV or Parquet; errors name the line of the wrong row."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kinematics.reading import read_bytes
 __all__ = ["TableFile", "read_table", "refuse_duplicates"]
 
 
-SMALL_TABLE = 1 << 20  # bytes, of a table whose columns are sooner converted than threads are started
+SMALL_TABLE = 1 << 20  # bytes; columns of smaller tables are converted faster than threads are started
 MAX_CSV_BYTES = 2_000_000_000  # of a table as text; longer logs are Parquet
 
 

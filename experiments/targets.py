@@ -34,7 +34,7 @@ class OutputError(ValueError):
 
 @dataclass
 class _Call:
-    """A call of the command: what it reads, and whether it may replace files of another kind."""
+    """A call of the command: its inputs, and whether it may replace files of another kind."""
 
     inputs: list[Path]
     force: bool
@@ -63,7 +63,7 @@ def one_call(inputs: Iterable[Path], force: bool = False) -> Iterator[None]:
 
 
 def protect(path: str | Path | None) -> None:
-    """Say that a file is read: this call will not write onto it. Without a call (in a notebook) it does nothing."""
+    """Mark a file as an input: this call will not write onto it. Without a call (in a notebook) it does nothing."""
     call = _call.get()
     if call is not None and path is not None:
         call.read.add(os.path.realpath(path))
@@ -240,7 +240,7 @@ def refuse_other_kind(path: str | Path, kind: str | None) -> None:
     try:
         with open(path, "rb") as file:
             found = kind_of(file.read(LOOKED_AT))
-    except OSError:  # there is none, or it may be written and not read: nothing is known of it
+    except OSError:  # there is none, or it may be written and not read: its kind is unknown
         return
     if found is not None and found != kind:
         raise OutputError(f"{path}: expected {kind} to replace, found {found} (--force replaces it)")
@@ -259,7 +259,7 @@ def in_a_call() -> bool:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """An input that does not exist is not what is looked at here."""
+    """Ignore an input that does not exist; others check that."""
     try:
         yield
     except OSError:

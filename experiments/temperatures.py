@@ -1,8 +1,8 @@
-"""Temperature sensors of a campaign's tables, which may miss readings: short gaps are bridged, others are not known.
+"""Temperature sensors of a campaign's tables: short gaps are interpolated, longer ones are unknown.
 
 Between two readings not longer than `GAP_S` apart a missing one is interpolated in time; before the first and after the
 last, one not farther than `END_S` holds. A motor that warms by 30 K with a time constant of 20 minutes bends away from
-the straight line by 0.2 K in the middle of such a gap, and moves by 1.5 K beyond such an end at the most.
+the straight line by at most 0.2 K in the middle of such a gap, and changes by at most 1.5 K beyond such an end.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def readings(frame: pd.DataFrame, name: str) -> tuple[FloatArray, Bools]:
         return values, known
     time = frame["time_s"].to_numpy(dtype=np.float64)
     if len(time) > 1 and np.all(np.diff(time) == 1.0) and "pose" in frame:
-        return values, known  # it counts rows: how long a gap is it does not say
+        return values, known  # it counts rows, so the length of a gap is unknown
     run = next((frame[key].to_numpy() for key in ("run", "sweep") if key in frame), np.zeros(len(frame)))
     if "sweep" in frame:
         run = np.zeros(len(frame))  # one clock for all sweeps
@@ -60,9 +60,8 @@ def _bridged(time: FloatArray, values: FloatArray, wanted: FloatArray) -> FloatA
 def filled(frame: pd.DataFrame, others: Iterable[pd.DataFrame] = ()) -> pd.DataFrame:
     """The table with a number of every sensor in every row.
 
-    Where a reading is not known the mean of those that are stands in, of this table or, where it has none, of the
-    ``others`` of the same campaign: the row then says nothing of what depends on the temperature. A sensor without any
-    reading is left out.
+    An unknown reading is replaced by the mean of the known ones of this table or, without any, of the ``others`` of the
+    same campaign. Such a row does not determine the dependence on temperature. A sensor without readings is left out.
     """
     tables = [frame, *others]
     names = dict.fromkeys(name for table in tables for name in temperature_columns(map(str, table.columns)))

@@ -1,4 +1,4 @@
-"""Touches of features with a known tip: where a robot stood when its tip touched planes, spheres and points of a cell.
+"""Touches of features with a known tip: the robot's postures as its tip touched planes, spheres and points of a cell.
 
 A file of touches is TOML, with the keys of ``campaign.toml`` but for ``[tables]``, and::
 
@@ -55,7 +55,7 @@ __all__ = ["FORMAT", "Feature", "Kind", "Touched", "read_touched"]
 Array = npt.NDArray[np.float64]
 Kind = Literal["plane", "sphere", "point"]
 FORMAT = "clampid-touched/1"
-FARTHEST_M = 100.0  # of a cell: what is farther is in millimetres
+FARTHEST_M = 100.0  # of a cell: larger numbers are in millimetres
 LARGEST_RADIUS_M = 1.0
 MOST_TURNED = 4 * np.pi  # rad: no joint of an arm turns farther from its zero
 KEYS: Mapping[Kind, tuple[str, ...]] = {
@@ -187,7 +187,7 @@ def _table(path: Path, n: int, tips: tuple[str, ...], features: list[str]) -> pd
     count = len(frame)
     columns: dict[str, object] = {str(name): frame[name] for name in frame.columns}
     columns |= {"pose": np.arange(1, count + 1), "visit": 1, "time_s": np.arange(float(count))}
-    columns |= dict.fromkeys(POSITION, 0.0)  # where a touch was measured nobody knows; its feature says it
+    columns |= dict.fromkeys(POSITION, 0.0)  # a touch has no measured position; its feature determines it
     if "target" not in columns and len(tips) == 1:
         columns["target"] = tips[0]
     if not any(name in columns for name in joint_columns("dir{}", n)):

@@ -53,10 +53,10 @@ def _passed_over(best: Scored, scores: CandidateScores) -> list[dict[str, Any]]:
 
 def _reason(s: Scored, best: Scored) -> str:
     if s.state == "implausible":
-        return "only of a size or sign that cannot be"
+        return "fits only with an impossible size or sign"
     if s.explained < best.explained:
         return f"explains {100.0 * s.explained / best.explained:.0f} % as much"
-    return "explains as much, but so much more of it would be expected by chance"
+    return "explains as much, but with more parameters, so more of it by chance"
 
 
 def _once(entries: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:

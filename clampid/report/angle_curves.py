@@ -78,8 +78,11 @@ def angle_curves_section(
     if one is not None and notes:
         notes.append("On a shared curve a pose of any of its joints counts for all of them.")
     offered = () if diagnosis is None else diagnosis.get("stages", {}).get("poses", {}).get("simpler", ())
+    fitted = {slot.effect for slot in stage.slots}
     notes += [
-        f"Diagnosis: {c['summary']}. To fit it: clampid add {c['name']} MODEL CAMPAIGN -o MENDED." for c in offered
+        f"Diagnosis: {c['summary']}."
+        + ("" if c["name"] in fitted else f" To fit it: clampid add {c['name']} MODEL CAMPAIGN -o MENDED.")
+        for c in offered
     ]
     sizes = np.sqrt(np.mean(found.error[:, joints] ** 2, axis=0))
     worst = int(np.argmax(sizes))

@@ -87,7 +87,7 @@ def _rounds(model: Model, first: Model | None) -> str:
         unit, last = unit_of(stage), rounds[-1]
         now, floor = error_text(last.heldout_rms, unit), error_text(last.noise_floor, unit)
         if len(rounds) == 1:
-            return f"The held-out error of the first model is {now}; the noise floor is {floor}."
+            return f"The held-out error of the start model is {now}; the noise floor is {floor}."
         before = error_text(rounds[0].heldout_rms, unit)
         word = "fell" if last.heldout_rms < rounds[0].heldout_rms else "rose"
         return f"The held-out error {word} from {before} to {now}; the noise floor is {floor}."

@@ -246,7 +246,7 @@ def _fall(rounds: Sequence[Round], nominal: float | None, unit: str) -> Fall | N
 def _label(entry: Round, index: int) -> str:
     """A round's name, short enough for the picture."""
     if not entry.added:
-        return "first model" if index == 0 else f"round {index + 1}"
+        return "start model" if index == 0 else f"round {index + 1}"
     names = list(dict.fromkeys(label.partition("@")[0] for label in entry.added))
     text = "+ " + names[0].replace("_", " ") + (f" and {len(names) - 1} more" if len(names) > 1 else "")
     places = [place for label in entry.added if (place := label.partition("@")[2])]

@@ -6,7 +6,6 @@ import shlex
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 
-from clampid.display import number
 from clampid.effect import Effect
 from clampid.models.model import Model
 from clampid.report.style import Section, as_table
@@ -46,17 +45,13 @@ def origin_section(model: Model, campaign: Campaign, effects: Mapping[str, Effec
         ("Fitted again by", command(model, campaign)),
         ("Campaigns", "; ".join(f"{s.name} ({s.fingerprint[:16]}…)" for s in model.sessions)),
         ("Robot description", campaign.robot.source or "–"),
-        (
-            "Effects' equations",
-            f"{number(len({t.effect for p in model.stages.values() for t in p.terms}))} effects, see the tables above",
-        ),
     ]
     caption = "The literature that follows from the effects used."
     return Section(
         "origin",
         "Sources, and how to do it again",
         (),
-        (as_table(("", ""), facts[:-1]), as_table(("Key", "Title", "For"), rows, caption)),
+        (as_table(("", ""), facts), as_table(("Key", "Title", "For"), rows, caption)),
         finding=f"Made by clampid {_version()}; the command below fits the model again.",
     )
 

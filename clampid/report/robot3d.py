@@ -50,7 +50,7 @@ def base_pose(data: StageData) -> tuple[Array, Array]:
 
 
 def robot_section(robot: RobotDescription, data: StageData, before: StageData | None) -> Section | None:
-    """Section "The errors in space"; ``before`` is the same of the first model."""
+    """Section "The errors in space"; ``before`` is the same of the start model."""
     R, p = base_pose(data)
     good = data.good[:, 0]
     pick = np.flatnonzero(good)

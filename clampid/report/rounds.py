@@ -29,7 +29,7 @@ def unit_of(stage: str) -> str:
 
 
 def rounds_of(model: Model, first: Model | None, stage: Stage) -> tuple[Round, ...]:
-    """A stage's rounds; those of the first model go before, where the ledger does not hold them."""
+    """A stage's rounds; those of the start model go before, where the ledger does not hold them."""
     own = tuple(r for r in model.ledger if r.stage == stage)
     before = tuple(r for r in first.ledger if r.stage == stage) if first is not None else ()
     if own[: len(before)] == before or not before:
@@ -90,7 +90,7 @@ def _panel(stage: Stage, rounds: Sequence[Round], nominal: float | None) -> Pane
         ),
     ]
     values = np.r_[fit, held_out, floor]
-    ticks = [(float(k), f"round {k}" if k else "first model") for k in range(len(rounds))]
+    ticks = [(float(k), f"round {k}" if k else "start model") for k in range(len(rounds))]
     if nominal is not None:
         values = np.r_[values, factor * nominal]
         ticks.insert(0, (-1.0, "as described"))
@@ -107,7 +107,7 @@ def _panel(stage: Stage, rounds: Sequence[Round], nominal: float | None) -> Pane
 def _spaced(ticks: list[tuple[float, str]]) -> tuple[tuple[float, str], ...]:
     """Ticks with short texts where there are many: the table beneath says what each round added."""
     short = ticks if len(ticks) <= MOST_LONG_TICKS else [(at, text.removeprefix("round ")) for at, text in ticks]
-    return tuple((at, "0" if text == "first model" and short is not ticks else text) for at, text in short)
+    return tuple((at, "0" if text == "start model" and short is not ticks else text) for at, text in short)
 
 
 def _table_rows(stage: Stage, rounds: Sequence[Round], nominal: float | None) -> list[tuple[str, ...]]:
@@ -116,7 +116,7 @@ def _table_rows(stage: Stage, rounds: Sequence[Round], nominal: float | None) ->
     rows: list[tuple[str, ...]] = [] if nominal is None else [(title, NOMINAL, error_text(nominal, unit), "–", "–")]
     for k, r in enumerate(rounds):
         errors = (error_text(value, unit) for value in (r.rms, r.heldout_rms, r.noise_floor))
-        label = f"first model: {', '.join(r.effects)}" if k == 0 else f"round {k}: {_added(r)}"
+        label = f"start model: {', '.join(r.effects)}" if k == 0 else f"round {k}: {_added(r)}"
         rows.append((title, label, *errors))
     return rows
 

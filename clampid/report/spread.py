@@ -40,7 +40,7 @@ class HeldOut:
 class Spread:
     """The error before and now, m or in units of noise, and by how much it fell; each with its 95 % interval.
 
-    ``before`` and ``fall`` are None without a first model.
+    ``before`` and ``fall`` are None without a start model.
     """
 
     folds: int
@@ -74,7 +74,7 @@ def held_out(data: StageData, floor: StageData | None = None) -> HeldOut | None:
 def spread_of(now: HeldOut, before: HeldOut | None, seed: int) -> Spread | None:
     """The errors with their intervals; None where too few whole poses, runs or sweeps were held out.
 
-    With a first model, all three are of the rows that count both times.
+    With a start model, all three are of the rows that count both times.
     """
     counts = now.counts if before is None else now.counts & before.counts
     folds, index = np.unique(now.fold[counts], return_inverse=True)

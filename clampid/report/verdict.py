@@ -106,7 +106,7 @@ def _verdict(stage: str, found: Json) -> str:
     title, verdict = stage_title(stage), str(found.get("verdict", ""))
     text = f"{title}: {verdict} – {MEANING[verdict]}." if verdict in MEANING else f"{title}: {verdict}."
     if found.get("depends_on"):
-        left = "What is left depends" if verdict == "unknown" else "What the first model left depended"
+        left = "What is left depends" if verdict == "unknown" else "The residual of the start model depended"
         text += f" {left} on {', '.join(map(str, found['depends_on']))}."
     if found.get("next_measurement"):
         text += f" Next measurement: {_next(found['next_measurement'])}"

@@ -24,6 +24,7 @@ MOST_POINTS = 1200  # of torque logs, per motor
 MOST_ROWS = 3000
 LISTED = 6
 EDGE = 0.97  # of an axis
+FAR = 20.0  # times the range of the middle 98 % of the rows: beyond, single rows would hide all others
 
 
 def where_section(stages: Mapping[Stage, StageData], seed: int) -> Section | None:
@@ -152,9 +153,11 @@ def _chart(data: StageData, drawn: _Drawn, variable: Variable) -> Chart:
     shake = np.random.default_rng(0).uniform(-0.12, 0.12, len(drawn.rows)) if few else np.zeros(len(drawn.rows))
     a, b = drawn.fitted, drawn.kept
     labels = tuple((float(k), text) for k, text in enumerate(variable.labels)) or None
+    low, high = _middle(variable.values)
     panels = []
     for c, title in enumerate(titles):
         x, y, limit = variable.of(c)[drawn.rows] + shake, drawn.residual[:, c], float(drawn.limits[c])
+        x = x if low is None else np.clip(x, low, high)
         line = trend(variable.of(c), factor * data.residual[:, c], data.good[:, c])
         level = factor * float(data.floor.sigma[c])
         marks: tuple[Mark, ...] = (
@@ -167,5 +170,18 @@ def _chart(data: StageData, drawn: _Drawn, variable: Variable) -> Chart:
             Line(line.x, line.median, "running median", "ink", 2.0, symbol="circle", symbol_size=4.0),
         )
         up = Axis(f"residual, {unit}" if c % 3 == 0 else "", -limit, limit)
-        panels.append(Panel(marks, Axis(ticks=labels), up, title))
-    return Chart(tuple(panels), 360 if len(titles) <= 3 else 560, across=3, below=variable.title)
+        panels.append(Panel(marks, Axis("", low, high, ticks=labels), up, title))
+    below = variable.title if low is None else f"{variable.title}; rows beyond are drawn at the edge"
+    return Chart(tuple(panels), 360 if len(titles) <= 3 else 560, across=3, below=below)
+
+
+def _middle(x: Array) -> tuple[float, float] | tuple[None, None]:
+    """Ends of an axis without the few rows far from all others; two None where all rows fit on one."""
+    finite = x[np.isfinite(x)]
+    if not finite.size:
+        return None, None
+    low, high = (float(v) for v in np.quantile(finite, (0.01, 0.99)))
+    if np.ptp(finite) <= FAR * (high - low) or high <= low:
+        return None, None
+    edge = 0.1 * (high - low)
+    return low - edge, high + edge

@@ -264,7 +264,7 @@ def mended_screen(data: Json, model: Model, nominal: Mapping[Stage, float], done
         rows.append(
             (name, tuple(error_text(e, part["unit"]) for e in errors), "mended" if verdict == "missing" else verdict)
         )
-        labels = [label.partition("@") for r in model.ledger if r.stage == name for label in r.added]
+        labels = [label.partition("@") for label in _still_in(model, name)]
         if labels:
             facts.append((f"{name}:", f"added {_grouped([(effect, place) for effect, _, place in labels])}"))
     return Screen(
@@ -277,6 +277,13 @@ def mended_screen(data: Json, model: Model, nominal: Mapping[Stage, float], done
         "Parameters, evidence and detection limits: --verbose, --json FILE, --report FILE.html.",
         tuple(steps),
     )
+
+
+def _still_in(model: Model, stage: str) -> list[str]:
+    """What was added to a stage and is in the model; not what another effect has replaced since."""
+    terms = {term.label for name, s in model.stages.items() if name == stage for term in s.terms}
+    added = [label for r in model.ledger if r.stage == stage for label in r.added]
+    return [label for label in added if label in terms or label.partition("@")[0] in terms]
 
 
 def _grouped(added: Sequence[tuple[str, str]]) -> str:

@@ -15,7 +15,7 @@ __all__ = ["angle_findings", "joint_angles"]
 
 FloatArray = npt.NDArray[np.float64]
 
-# A controller stops a joint at its limits. Twice as far is not a limit set a little wider: it is another unit.
+# A controller stops a joint at its limits. Angles of twice the limit are in another unit.
 REACH_FACTOR = 2.0
 # One row may be a glitch of the log; a wrong unit shows wherever the joint is away from zero.
 MANY_ROWS = 0.05
@@ -23,8 +23,8 @@ MANY_ROWS = 0.05
 LIMIT_MARGIN = 1.1
 # Limits are printed in whole degrees, and controllers report a joint at its stop a little beyond it.
 LIMIT_SLACK_RAD = 1e-3
-# Gears of robots reduce 30 to 250 times. Joint angles written as motor angles would put every joint within this of
-# zero in every posture; a clamped arm stretched out like that in all load cases is not a measurement.
+# Gears of robots reduce 30 to 250 times. If joint angles stood in motor columns, every joint would lie within this of
+# zero in every posture. No clamped arm is measured stretched out like that in all load cases.
 TINY_RAD = 0.1
 # No robot's joint turns farther from zero than two revolutions. Angles within that may be another robot's radians.
 MOST_TURNED_RAD = 4.0 * np.pi

@@ -14,7 +14,7 @@ from experiments.signals import gaps, irregularity, stale_rows
 
 __all__ = ["clock_findings", "counts_rows"]
 
-# Positions whose rounding is coarse repeat singly by chance, once in ten thousand rows; a source slower than the log
+# Coarsely rounded positions repeat by chance, once in ten thousand rows; a source slower than the log
 # holds a fifth of its rows or more.
 SHARE_OF_REPEATS = 0.01
 # Speeds are taken on the stamps as they are, so that irregular steps do no harm by themselves. Where the stamps are

@@ -1,4 +1,4 @@
-"""Judges whether measured distances are those of this robot to fixed anchors, in metres, and can locate these."""
+"""Checks measured distances: in metres, from this robot to fixed anchors, and enough to locate the anchors."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ __all__ = ["distance_findings"]
 
 FloatArray = npt.NDArray[np.float64]
 
-# A place takes three distances; the fourth is the first that depends on the robot's errors.
+# Three distances determine a place; only the fourth depends on the robot's errors.
 FEWEST_POSES = 4
 TABLE = "distances"
-CLEARLY = 0.2  # of an error: a correct explanation leaves less
+CLEARLY = 0.2  # share of the error; a correct explanation leaves less
 
 
 def distance_findings(campaign: Campaign, angles_wrong: frozenset[str], fits: bool = False) -> Iterator[Finding]:
@@ -41,7 +41,7 @@ def distance_findings(campaign: Campaign, angles_wrong: frozenset[str], fits: bo
     ------
     Finding
         Errors for other units, warnings for anchors that cannot be located and distances that do not fit, a note on
-        what distances alone do not tell.
+        what distances alone do not determine.
     """
     if TABLE not in campaign.tables:
         return
@@ -73,7 +73,7 @@ def distance_findings(campaign: Campaign, angles_wrong: frozenset[str], fits: bo
 
 
 def _wrong_unit(names: npt.NDArray[np.object_], points: FloatArray, distances: FloatArray) -> Finding | None:
-    """Distances that fit in another unit, and in metres by no means."""
+    """Distances that fit in another unit, and do not fit in metres."""
     here = _misfit(names, points, distances)
     if here <= CLEARLY_WRONG_M:
         return None
@@ -123,7 +123,7 @@ def _places(robot: RobotDescription, q: FloatArray, targets: FloatArray) -> Floa
 
 
 def _misfit(names: npt.NDArray[np.object_], points: FloatArray, distances: FloatArray) -> float:
-    """By how much distances are off, m, at the median, each anchor where it fits best."""
+    """Median error of the distances, m, with each anchor at its best-fitting place."""
     parts = [locate(points[names == name], distances[names == name]).error for name in set(names)]
     return float(np.median(np.abs(np.concatenate(parts))))
 
@@ -192,7 +192,7 @@ def _enough(campaign: Campaign, fits: bool) -> Iterator[Finding]:
         return
     frame, robot = campaign.tables[TABLE], campaign.robot
     targets, anchors = frame["target"].nunique(), frame["anchor"].nunique()
-    # Six of the numbers are the frame's, which distances know nothing of.
+    # Six parameters belong to the base frame, on which distances do not depend.
     unknown = sum(4 if joint.kind == "revolute" else 2 for joint in robot.joints) + 3 * targets + 3 * anchors - 6
     numbers = len(frame.drop_duplicates(["pose", "target", "anchor"]))
     if numbers < 2 * unknown:

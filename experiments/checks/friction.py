@@ -1,8 +1,8 @@
-"""Judges torque logs by their friction, which takes energy, whatever the robot weighs.
+"""Checks torque logs by their friction: it dissipates energy, whatever the robot weighs.
 
-A torque that goes with the motion instead of against it is mirrored, or its joint's angle is. Rows in clear motion are
-asked, besides weight, acceleration and centrifugal torques as any masses would give them; moves are what is
-independent.
+If friction points along the motion instead of against it, the torque or the joint angle has the wrong sign. Rows in
+clear motion are regressed on friction, weight, acceleration and centrifugal torques of arbitrary masses. Moves, not
+rows, are taken as independent.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from experiments.signals.typing_ import Array, Bools, Integers
 
 __all__ = ["friction_findings"]
 
-# One sound motor in a thousand, at most, is called unsound: moves are independent of each other, rows are not.
+# At most one correct motor in a thousand is reported. Moves are independent of each other, rows are not.
 FALSE_ALARMS = 1e-3
 MOVES = 8
 LEFT = 1e-6  # share of a column's square that the others must not explain, so that its factor is identifiable
@@ -59,7 +59,7 @@ def friction_findings(campaign: Campaign, logs: Mapping[str, MovingLog]) -> Iter
 
 
 def _held(campaign: Campaign, log: MovingLog) -> list[Array]:
-    """What each motor's torque may hold besides friction, up to factors: of each ``(N, k)``."""
+    """Regressors ``(N, k)`` of each motor's torque besides friction."""
     T = np.asarray(campaign.robot.transmission)
     weight = T @ weight_regressor(campaign, log.q) if np.any(campaign.gravity) else np.zeros((len(log.q), len(T), 0))
     i, k = np.triu_indices(campaign.robot.n)

@@ -12,12 +12,12 @@ __all__ = ["joint_mistakes", "renaming_words", "target_mistakes"]
 
 FloatArray = npt.NDArray[np.float64]
 
-# Names of more targets than these are only looked at for two that are swapped: their orders are too many.
+# Of more targets than these only swaps of two are tried; all permutations would be too many.
 _ALL_ORDERS = 4
 
 
 def joint_mistakes(q: FloatArray) -> Iterator[tuple[int, str, FloatArray]]:
-    """Joint angles as they may have been meant.
+    """Joint angles after undoing each frequent mistake.
 
     Parameters
     ----------

@@ -17,15 +17,15 @@ from experiments.measures.returns import ENOUGH_RETURNS, SAME_TEMPERATURE_K, com
 
 __all__ = ["motion_findings", "moved_joints", "replicates", "wrist_joints"]
 
-# A joint that moves less shifts a point 1 m away by less than 1 mm: what turns with it cannot be told from the rest.
+# A joint that moves less shifts a point 1 m away by less than 1 mm: its parameters cannot be identified.
 STILL_RAD = 1e-3
 # Returns to a pose agree within the robot's repeatability, 1e-4 rad or less; 1e-2 rad is 10 mm at 1 m, another pose.
 SAME_POSE_RAD = 1e-2
-# Springs of drives give way by milliradians under rated torque; an arm that moves more than this is not clamped. Soft
-# wrists give way by more: there it is this many times what the described spring does at the rated torque.
+# Springs of drives deflect by milliradians under rated torque; an arm that moves more than this is not clamped. Soft
+# wrists deflect more: there the limit is this multiple of the described spring's deflection at rated torque.
 CLAMPED_RAD, CLAMPED_SPRINGS = 0.05, 3.0
 
-# Returns that agree to the last digit are called copied where rounding would do that once in a thousand campaigns.
+# Returns that agree to the last digit are reported as copies if rounding does that less than once in 1000 campaigns.
 BY_CHANCE = 1e-3
 LEAST_NOISE_M = 1e-5  # of instruments for robots, where none is stated
 ON_STEP = 0.01  # of a step, by which numbers may be off it

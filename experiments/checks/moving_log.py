@@ -18,7 +18,7 @@ __all__ = ["MovingLog", "clear_moves", "freed", "moving_logs", "read_log", "weig
 # A table is judged on at most this many rows, smoothed and thinned: a check should not take longer than a fit.
 ROWS = 12_000
 MIN_ROWS = 120  # fewer rows than this hold no moves to judge by
-# Of a direction in other columns, relative to their largest: below, it is rounding and not a column of its own.
+# Singular value relative to the largest: below it a direction is rounding.
 NEGLIGIBLE_SINGULAR_VALUE = 1e-8
 # Rows at either end of a move in which friction builds up.
 BUILD_UP = 2
@@ -88,7 +88,7 @@ def clear_moves(speed: Array, run: Integers) -> tuple[Bools, Integers]:
 
 
 def freed(others: Array, columns: Array) -> Array:
-    """Columns ``(N, p)`` without what a combination of the others ``(N, h)`` could be."""
+    """Columns ``(N, p)`` with their projection on the other columns ``(N, h)`` removed."""
     scale = np.sqrt(np.mean(others**2, axis=0))
     basis = np.linalg.svd(others / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
     kept = basis.U[:, NEGLIGIBLE_SINGULAR_VALUE * basis.S[0] < basis.S]

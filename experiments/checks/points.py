@@ -39,7 +39,7 @@ __all__ = ["enough_poses", "point_findings"]
 WRONG_UNIT = 5.0
 UNITS = {1e6: "micrometres", 1e3: "millimetres", 100.0: "centimetres", 1 / 0.0254: "inches"}
 UNIT_TOLERANCE = 0.25
-# Below this the nominal points hardly move, and their spread says nothing about units.
+# Below this the nominal points hardly move, and their spread does not show the unit.
 SMALLEST_SPREAD_M = 1e-3
 # No instrument for robots measures from farther away; 1 m in millimetres is ten times that.
 FARTHEST_M = 100.0
@@ -48,14 +48,14 @@ CLEARLY_WRONG_M = 0.02
 TARGETS_WRONG_M = 0.01
 # Where each stop has several rows, a shift by one row spoils one row of each stop: a tenth and more of all rows.
 SHIFTED_SHARE = 0.1
-# No arm that works errs by so much: whatever the mistake is, a model of these points would be of no use.
+# No working arm errs by so much. Whatever the mistake is, a model of these points would be useless.
 NOT_THIS_ROBOT_M = 0.1
-# A wrong sign of a joint that hardly moves the targets errs by less; where it is turned, all but a few millimetres go.
+# A wrong sign of a joint that hardly moves the targets causes less; with the right sign a few millimetres remain.
 SIGN_WRONG_M = 0.005
 # A target nearer to the last joint's axis than the wrist's own errors is not moved by that joint.
 ON_AXIS_M = 0.005
-# A mistake is named where it fits better than the description by so much that chance does it once in a thousand
-# campaigns, over all mistakes that were tried. A median is worth 0.37 of the rows that a mean of squares would be.
+# A mistake is named if it fits better than the description; false alarms: one in a thousand campaigns, over all
+# mistakes tried. A median has the efficiency of 0.37 of the rows.
 BY_CHANCE, OF_A_MEDIAN = 1e-3, 0.37
 # Measured numbers for each fitted parameter, with which other poses are predicted nearly as well as noise allows.
 NUMBERS_PER_PARAMETER = 5
@@ -100,7 +100,7 @@ def point_findings(campaign: Campaign, angles_wrong: frozenset[str], fits: bool 
 def enough_poses(frame: pd.DataFrame, parameters: int) -> int:
     """How many poses determine so many parameters that other poses are predicted nearly as well as they are measured.
 
-    N numbers of random poses, fitted with P parameters, predict others with sqrt(1 + P / (N - P - 1)) of the noise.
+    A fit of P parameters to N numbers of random poses predicts other poses with sqrt(1 + P / (N - P - 1)) of the noise.
     With `NUMBERS_PER_PARAMETER` that is 1.12.
 
     Parameters
@@ -115,10 +115,10 @@ def enough_poses(frame: pd.DataFrame, parameters: int) -> int:
 
 
 def _shown(frame: pd.DataFrame) -> tuple[int, int]:
-    """How many numbers each pose shows, and how many all poses together show once.
+    """Measured numbers of each pose, and those that all poses share.
 
-    A stop shows three numbers of one point, five of two, six of more; distances between targets show once. With an
-    orientation it shows six, of a flange with six of its own.
+    A stop with one target has three numbers, with two five, with more six; distances between targets count once. With
+    an orientation a stop has six, and the tool's frame has six of its own.
     """
     count = frame["target"].nunique()
     if QUATERNION[0] in frame or "flange" in set(frame["target"].astype(str)):
@@ -162,7 +162,7 @@ def _enough(campaign: Campaign, fits: bool) -> Iterator[Finding]:
 
 
 def _flat(measured: FloatArray) -> Iterator[Finding]:
-    """Whether the points (rows, 3) lie in a plane or on a line, off which errors are hardly seen."""
+    """Whether the points (rows, 3) lie in a plane or on a line: errors across it can hardly be identified."""
     off = measured - np.median(measured, axis=0)
     near = np.linalg.norm(off, axis=1)
     kept = off[near <= 5.0 * np.median(near)]  # a lost point does not make a plane a volume
@@ -237,7 +237,7 @@ def _target_distances(campaign: Campaign, table: str, measured: FloatArray) -> I
 
 
 def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: FloatArray) -> Iterator[Finding]:
-    """Judge what the best base frame and tool offset leave of the difference between nominal and measured points."""
+    """Check the residual of nominal against measured points after the best base frame and tool offset."""
     points = target_points(campaign, table)
     fit = fit_rigid(poses, points, measured)
     residual = fit.distance
@@ -305,7 +305,7 @@ def _mistaken_joints(
 ) -> tuple[int, str] | None:
     """Which joint's sign must be turned, or which two joints exchanged, to make the points fit: the first, and words.
 
-    Of points of one target a mirrored arm may be another sign: what fits is named only if it is the one that does.
+    With one target several signs may fit equally well (a mirrored arm). A mistake is named only if it alone fits.
     """
     robot, found = campaign.robot, []
     for first, words, angles in joint_mistakes(joint_angles(campaign, table)):
@@ -331,7 +331,7 @@ def _shifted_rows(
     frame = campaign.tables[table]
     stops = frame.groupby(["pose", "visit"], sort=False).ngroup().to_numpy()
     steps: list[tuple[str, npt.NDArray[np.intp]]] = [("row", np.arange(len(frame), dtype=np.intp))]
-    if stops[-1] + 1 < len(frame):  # several targets at a stop: all of them are beside the angles of the next stop
+    if stops[-1] + 1 < len(frame):  # several targets at a stop: all are in the rows of the next stop's angles
         steps.append(("visit", stops.astype(np.intp)))
     for what, number in steps:
         firsts = {int(n): int(i) for i, n in reversed(list(enumerate(number)))}
@@ -366,7 +366,7 @@ def _swapped_targets(
 def _mistaken_targets(
     campaign: Campaign, table: str, poses: FloatArray, measured: FloatArray, bad: npt.NDArray[np.intp], fit: RigidFit
 ) -> str | None:
-    """In words, at which poses points lie where other targets should be; None unless that explains all of them."""
+    """In words, at which poses points lie where other targets should be; None if a point remains unexplained."""
     frame = campaign.tables[table]
     names = sorted(set(frame["target"].astype(str)))
     known = {"flange": np.zeros(3), **campaign.targets}

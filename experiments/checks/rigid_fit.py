@@ -28,8 +28,8 @@ __all__ = [
 FloatArray = npt.NDArray[np.float64]
 
 
-# An arm does not reach this many times farther than where half of its points are. So few of them are rows that are
-# wrong, to be said one by one, and no unit.
+# No arm reaches this multiple of the distance within which half of its points lie. A few such points are wrong rows,
+# which are reported one by one, and no wrong unit.
 FAR_OFF = 20.0
 
 
@@ -44,11 +44,11 @@ ORIENTATION_WRONG_RAD = 0.05
 _ITERATIONS = 8
 
 
-# Points on a line leave the base's turn about it to the targets' places: nothing says from which turn a fit finds it.
+# Points on a line do not determine the base's rotation about the line, so a fit needs several starting rotations.
 TURNS_TRIED = 12
 
 
-# Off a plane by as much as the points reach within it, an error seen in their thickness alone is twenty times larger.
+# Thickness over extent: an error across the plane that only the thickness shows is twenty times larger.
 FLAT = 0.05
 
 
@@ -79,11 +79,11 @@ class RigidFit:
 
 
 def fit_rigid(poses: FloatArray, points: FloatArray, measured: FloatArray) -> RigidFit:
-    """Lay nominal points on measured ones; bad rows do not pull the fit.
+    """Fit nominal points to measured ones; wrong rows do not bias the fit.
 
     Fitted are the base frame and one offset common to all targets, since neither is known to better than centimetres
-    on a real cell: first the frame in closed form, then both by Gauss–Newton. Of points on a line the closed form knows
-    no turn about it: the best of several is taken.
+    on a real cell: first the frame in closed form, then both by Gauss–Newton. For points on a line the closed form does
+    not determine the rotation about it: several are tried.
     """
     turn = poses[:, :3, :3]
     nominal = poses[:, :3, 3] + np.einsum("rij,rj->ri", turn, points)
@@ -123,8 +123,8 @@ def _descended(
 def orientation_findings(table: str, frame: pd.DataFrame, poses: FloatArray, base: FloatArray) -> Iterator[Finding]:
     """Compare orientations in the base frame (3, 3) that the positions gave; the tool's own turn is left free.
 
-    With the base free as well, reading the components in another order would go unseen: every orthogonal map of
-    quaternions is q → a·q·b or a·q*·b.
+    With a free base, components in the wrong order would not be noticed: every orthogonal map of quaternions is
+    q → a·q·b or a·q*·b.
     """
     quaternion = frame[list(QUATERNION)].to_numpy(dtype=np.float64)
     scalar_last = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])  # scipy's own order

@@ -1,4 +1,4 @@
-"""Judges whether torques, velocities and times are what their columns' names say."""
+"""Checks whether torques, velocities and times agree with their columns' names."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def _velocity_verdict(v: FloatArray, d: FloatArray) -> str | None:
 
 
 def _unread(campaign: Campaign, table: str, frame: pd.DataFrame) -> Iterator[Finding]:
-    """Extra columns are kept; one that looks like an optional column of the contract would be missed in silence."""
+    """Extra columns are kept; a misspelt optional column would be ignored without a message."""
     known = table_format(table, campaign.robot.n).known()
     joints = {f"{signal}{campaign.robot.n + 1}" for signal in ("q", "qd", "tau", "motor", "dir")}
     for name in map(str, frame.columns):

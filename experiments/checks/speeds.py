@@ -18,7 +18,7 @@ __all__ = ["speed_findings"]
 TABLES = ("free_air", "wrist")
 # Share of the top speed from which a row counts as moving: what fits of friction use.
 CLEAR_SPEED = 0.02
-# Dry friction is what is left of friction at speed zero. From speeds that scatter by the share c of their mean, its
+# Dry friction is friction extrapolated to speed zero. From speeds that scatter by the share c of their mean, its
 # standard error is sqrt(1 + 1/c²) times that of the friction at the mean speed (a straight line, extrapolated): twenty
 # times at 5 %. Full and 80 % speed make 11 %.
 SCATTER = 0.05

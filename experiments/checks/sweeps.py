@@ -1,9 +1,9 @@
-"""Judges sweeps of a clamped robot one by one: whether the joint was loaded at all, and the flange held.
+"""Checks each sweep of a clamped robot: whether the joint was loaded, and whether the clamp held the flange.
 
-A driven motor's torque is friction, which follows the direction, and the spring, which follows the angle. What follows
-the angle is the slope of a line with a step between the two directions, fitted to the rows on which friction has built
-up. A spring at least a twentieth as stiff as described, or as the joint's own in other sweeps, would have shown: where
-it does not, and the joint went farther than any clearance, the arm went with its motor.
+A driven motor's torque is friction, which depends on the direction, plus the spring, which depends on the angle. A line
+with a step between the two directions is fitted to the rows on which friction has built up. Its slope is the stiffness.
+If the slope is below a twentieth of the described stiffness (or of the joint's own in other sweeps), and the joint
+moved farther than any clearance, the arm was free.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from experiments.signals.typing_ import Array
 __all__ = ["sweep_findings"]
 
 MIN_ROWS = 12  # rows that a line with a step may be judged on
-# Worn gears have clearances of arc minutes; a joint that turns by twice this without its spring winding up is free.
+# Worn gears have clearances of arc minutes; a joint that turns by twice this without a spring torque is free.
 WIDEST_GAP_RAD = 2e-3
 # Fixtures and worn drives have been found several times as soft as described, never twenty times.
 SOFT = 0.05
-# The spring's share of a sweep's torque is seen where it exceeds its standard error by this.
+# Standard errors by which the spring's part of a sweep's torque is significant.
 CERTAIN_SLOPE = 4.0
 
 
@@ -95,7 +95,7 @@ def _judge(number: int, joint: int, slope: _Slope, expected: float | None, ratio
 
 
 def _slope(angle: Array, torque: Array) -> _Slope | None:
-    """Fit a line with a step between the directions to a driven motor's torque; None where too little is there."""
+    """Fit a line with a step between the directions to a driven motor's torque; None if there are too few rows."""
     step = np.diff(angle, prepend=angle[:1])
     if len(step) > 1:
         step[0] = step[1]

@@ -24,7 +24,7 @@ def temperature_findings(campaign: Campaign) -> Iterator[Finding]:
     Yields
     ------
     Finding
-        Errors for other units, warnings for readings that are not known, notes on short gaps and on what they tell.
+        Errors for other units, warnings for readings that are not known, notes on short gaps and on what they identify.
     """
     for table, frame in campaign.tables.items():
         names = temperature_columns(map(str, frame.columns))

@@ -1,8 +1,8 @@
 """Judges torque logs against the weight of the robot: unit, side of the gears, sign, and clock.
 
-Whatever else a motor's torque holds, the weight of the described links goes with the posture as described, through
-the transmission. The factor κ that fits it best says in what unit, on which side of the gears and with which sign the
-torque was written; and since weight changes while a joint turns, the other way when it turns back, it says when.
+A motor's torque contains the weight of the described links, transformed by the transmission. The factor κ that fits
+this weight best shows the unit, the side of the gears and the sign of the torque. The weight changes as a joint turns
+and changes back as it turns back, so the log also shows a delay between torques and positions.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from kinematics.gravity import add_tool, gravity_parameters
 
 __all__ = ["torque_findings", "torque_shift"]
 
-# Descriptions, undeclared tools and balancers leave the weight within a factor of 1.5 (one sigma), and within 3.4 in
-# 997 of 1000 motors; gears are factors of 30 to 250, and percent of the rated torque, on robots' motors, of 10 to 100.
+# Errors of descriptions, undeclared tools and balancers change the weight by a factor of 1.5 (one sigma), and by less
+# than 3.4 for 997 of 1000 motors. Gears are factors of 30 to 250, percent of the rated torque of 10 to 100.
 SPREAD = np.log(1.5)
-# A motor is asked when weight stands out of its standard error by this, and is most of what is not friction.
+# A motor is judged if its weight exceeds this many standard errors and most of what is not friction.
 CLEAR_ERRORS, MAX_SHARE = 5.0, 0.5
-# The middle one of the motors asked is rejected when such a one is seen once in a million sound logs (a factor of 7),
-# and believed when it is not rare among those of its kind.
+# The median motor is rejected at one in a million correct logs (a factor of 7); another unit is accepted if it makes
+# the median usual.
 REJECTED, BELIEVED = 1e-6, 1e-2
 # A shift is reported if its p-value is below 1e-4 and it is more than a quarter of the
 # sample step: drives read position and current at different instants of their own cycle.
@@ -95,7 +95,7 @@ def _masses(campaign: Campaign) -> Array:
 
 
 def _friction(campaign: Campaign, log: MovingLog, motor: int, speed: Array) -> Array:
-    """What a motor's torque may hold besides weight, up to factors ``(N, k)``."""
+    """Regressors ``(N, k)`` of a motor's torque besides weight."""
     T = campaign.robot.transmission
     coupled = np.flatnonzero((T[motor] != 0.0) & (np.arange(campaign.robot.n) != motor))
     own = [np.ones_like(speed), np.sign(speed), speed * np.abs(speed)]
@@ -133,7 +133,7 @@ def _units(campaign: Campaign, table: str, log: MovingLog, regressor: Array) -> 
     names = joint_columns("tau{}_Nm", robot.n)
     weighed, loaded = _asked(motor_side), _asked(joint_side)
     signs = np.where(motor_side[:, 0] < 0.0, -1.0, 1.0)
-    # Friction takes energy, whatever the hoses weigh: a torque that is mirrored drives instead.
+    # Friction dissipates energy, whatever the hoses weigh: a torque of the wrong sign drives instead.
     drives = motor_side[:, 3] < 0.0
     mirrored = [m for m in weighed if drives[m] and _fits(motor_side, -np.ones(robot.n), [m]) >= BELIEVED]
     if mirrored and _fits(motor_side, signs, weighed) >= BELIEVED:
@@ -184,7 +184,7 @@ def _numbers(motors: list[int]) -> str:
 def _factors(campaign: Campaign, log: MovingLog, speed: Array, weight: Array) -> Array:
     """Weight ``(N, n)`` in each torque: factor, its standard error by moves, share of what is not friction, and drag.
 
-    ``(n, 4)``; (0, 1, 0, 0) where the log does not tell. Drag is the torque that goes with the sign of motion.
+    ``(n, 4)``; (0, 1, 0, 0) if the log does not determine it. Drag is the torque that follows the sign of motion.
     """
     out = np.tile([0.0, 1.0, 0.0, 0.0], (campaign.robot.n, 1))
     for m in range(campaign.robot.n):

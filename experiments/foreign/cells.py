@@ -18,7 +18,7 @@ __all__ = ["counts", "dates", "labels", "numbers"]
 FloatArray = npt.NDArray[np.float64]
 Texts = npt.NDArray[np.object_]
 
-LARGEST_WHOLE = 2**53  # from here on neighbouring numbers are one float: texts tell them apart
+LARGEST_WHOLE = 2**53  # from here on neighbouring numbers are the same float; such cells are compared as text
 MINUS = str.maketrans({"\u2212": "-", "\u2013": "-", "\u00a0": ""})  # signs that word processors put for a hyphen
 # What programs write where there is no reading; only sensors may have none.
 EMPTY_CELLS = ("", "nan", "na", "n/a", "null", "none", "-", "--", "---")

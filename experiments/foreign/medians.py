@@ -1,6 +1,6 @@
 """Repeated samples of one point become their median, with the scatter of a single one.
 
-Of few samples the median absolute deviation is smaller than of many: their middle goes along with them.
+The median absolute deviation of few samples is biased low, because their median follows them.
 """
 
 from __future__ import annotations

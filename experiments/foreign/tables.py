@@ -32,12 +32,12 @@ __all__ = ["Imported", "import_tables"]
 Bools = npt.NDArray[np.bool_]
 FloatArray = npt.NDArray[np.float64]
 FEW_TURNS = 4 * np.pi  # rad: no joint of an arm turns farther than this from its zero
-STILL = 2 * np.pi  # degrees: all joints of an arm that is calibrated within so few degrees are radians
+STILL = 2 * np.pi  # degrees: no campaign keeps all joints within so few degrees; they are radians
 
 
 @dataclass(frozen=True)
 class ImportedFile(TableFile):
-    """A table that is made of files: what is wrong in it is said of the cell that it came from.
+    """A table made from files: errors name the cell of the file that a value came from.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class ImportedFile(TableFile):
         return origin.fault(int(self.index[row]), expected=expected, found=found, column=name)
 
     def cell(self, row: int, column: str, value: object) -> str:
-        """The value, since the text of the cell may have been in another unit."""
+        """The value in words; the text of the cell may have been in another unit."""
         return "an empty cell" if value is None or value != value else f"{value!r}"  # noqa: PLR0124 (not a number)
 
     def words(self, row: int) -> str:

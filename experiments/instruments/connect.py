@@ -28,7 +28,7 @@ def connect_instrument(address: str) -> Instrument:
 
 
 def instrument_of(address: str) -> Callable[[], Instrument]:
-    """What connects to an address; as `connect_instrument`, nothing is opened yet.
+    """A function that connects to an address as `connect_instrument` does; nothing is opened yet.
 
     Raises
     ------

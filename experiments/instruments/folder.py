@@ -1,10 +1,10 @@
 """An instrument whose own program writes a file for each measurement: the folder is watched for new ones.
 
-* A file counts when it is new since the measurement was asked for. Files that were there before it are put aside and
-  named in ``stray``: which posture they belong to is not known.
+* A file counts if it appeared after the measurement was requested. Earlier files are named in ``stray`` and not used,
+  because their posture is unknown.
 * A file is read once it has not changed for `QUIET` and its last line is complete. It is never read twice.
-* Rows without numbers are readings without a line of sight. A file of such rows only is waited beyond: the next one may
-  see the target.
+* Rows without numbers are readings without a line of sight. If a file has only such rows, the next file is
+  awaited: it may see the target.
 """
 
 from __future__ import annotations

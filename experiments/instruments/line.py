@@ -31,7 +31,7 @@ from experiments.instruments.still import MIN_READINGS, moved_by, summary
 
 __all__ = ["LineInstrument"]
 
-HELLO_TIMEOUT = 5.0  # s for answers that need no measurement
+HELLO_TIMEOUT = 5.0  # s, for answers without a measurement
 AGAIN = 3  # times that a target is looked for without a line of sight
 PAUSE_BETWEEN_TRIALS = 0.5  # s between them
 LONGEST_ANSWER = 4_000_000  # bytes in one answer: 5000 points take 200 000
@@ -69,7 +69,7 @@ class LineInstrument:
         return f"instrument at {self._where[0]}:{self._where[1]}"
 
     def measure(self, target: str, count: int, patience: float) -> Sample:
-        """Read until the target is still; at least `MIN_READINGS` readings, which tell that."""
+        """Read until the target is still; this takes at least `MIN_READINGS` readings."""
         if target not in self.targets:
             raise InstrumentError(f"{self}: expected one of {', '.join(self.targets)}, found {target!r}")
         end, wanted, unseen, moved = time.monotonic() + patience, max(count, MIN_READINGS), 0, 0.0

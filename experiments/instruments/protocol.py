@@ -1,4 +1,4 @@
-"""What a run asks of an instrument, and what it gets."""
+"""The interface of an instrument, as a run uses it."""
 
 from __future__ import annotations
 

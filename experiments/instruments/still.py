@@ -1,4 +1,4 @@
-"""Median and scatter of readings, and whether they were taken of something that stood.
+"""Median and scatter of readings, and whether the target was at rest.
 
 Readings ``(N, k)`` are cut in halves. A target at rest gives two medians that differ by noise. The standard error of
 the median of m normal readings is √(π/2)·σ/√m, so that the difference of the halves has √(2π/N)·σ. A difference beyond
@@ -22,7 +22,7 @@ __all__ = ["CALM_M", "MIN_READINGS", "moved_by", "summary"]
 
 MAD = 1.4826  # of a normal distribution
 GATE = 4.5  # standard errors
-MIN_READINGS = 120  # readings: a pure motion has a scatter of 0.37 D and halves that differ by D/2, which 70 tell
+MIN_READINGS = 120  # a pure motion by D has a scatter of 0.37 D and halves that differ by D/2: 70 readings show it
 CALM_M = 5e-6  # m
 
 
@@ -37,7 +37,7 @@ def summary(readings: Array) -> tuple[Array, Array]:
 def moved_by(readings: Array) -> float:
     """How far the target moved between the two halves of readings ``(N, k)``, m; 0.0 if by no more than noise does.
 
-    Fewer than `MIN_READINGS` readings do not tell a slow motion from noise.
+    With fewer than `MIN_READINGS` readings a slow motion cannot be distinguished from noise.
     """
     half = len(readings) // 2
     if half < 1:

@@ -1,4 +1,4 @@
-"""One TCP connection that carries documents: never waits longer than it is told to, never holds back a piece."""
+"""One TCP connection that carries documents: no wait longer than the caller allows, no delayed packets."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The motion channel of an EthernetKRL link: one thread sends programs, and hears what becomes of them.
+"""The motion channel of an EthernetKRL link: one thread sends programs and receives their results.
 
-After a connection broke with a program on its way, the thread connects again and sends a fence: a document with boot
-number 0, which a controller always refuses. Its answer proves that the controller has dropped what the old connection
-had left. Only then does a status say whether the program was accepted or never will be.
+If the connection breaks after a program was sent, the thread connects again and sends a fence: a document with boot
+number 0, which a controller always refuses. The answer proves that the controller has dropped the data of the old
+connection. Only after it does a status show whether the program was accepted, or never will be.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class MotionChannel:
         return self._stops
 
     def stopped(self) -> None:
-        """What was wanted before and is not sent yet must not be sent."""
+        """Discard programs that were queued before and are not sent yet."""
         self._stops += 1
 
     def close(self) -> None:

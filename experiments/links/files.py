@@ -23,7 +23,7 @@ __all__ = ["FIRST_PORT", "LAST_PORT", "link_files"]
 FIRST_PORT, LAST_PORT = 54600, 54615
 """Of EthernetKRL on the controller."""
 LIMIT_MARGIN = 1e-4  # deg by which limits are rounded inward: their last written digit
-LISTENER = "192.168.1.10"  # of this suite in the RSI file, where nobody says: to be replaced
+LISTENER = "192.168.1.10"  # of this suite in the RSI file, if no address is given: to be replaced
 
 
 def link_files(robot: RobotDescription, port: int = PORT, address: str = "", listener: str = "") -> Mapping[str, str]:

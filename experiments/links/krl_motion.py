@@ -23,7 +23,7 @@ __all__ = ["CLOCK_TIMER", "WATCHDOG_TIMER", "head", "motion_dat", "motion_src", 
 CLOCK_TIMER, WATCHDOG_TIMER = 19, 20
 """$TIMER: of the samples; of the watchdog, which runs out by itself where the submit interpreter has stopped."""
 BRAKE_INTERRUPT, WATCHDOG_INTERRUPT, ALIVE_INTERRUPT = 21, 22, 23
-LAST = MOTION.receive[-1].tag  # the element that comes last: once it is there, the document is whole
+LAST = MOTION.receive[-1].tag  # the last element: once it has come, the document is complete
 
 
 def head(name: str, title: str, what: str) -> list[str]:

@@ -1,8 +1,8 @@
-"""What becomes of a program: the state machine of every link.
+"""The states of a program: the state machine of every link.
 
-A program is sent once. Then only what the controller says moves it on: an event, or a status. Where the connection was
-lost, silence proves nothing. It counts as *not executed* only if the controller says so after it has dropped what it
-had received (a fence: see `Programs.fenced`). Otherwise it is *unknown* once the patience is over. ::
+A program is sent once. Only an event or a status of the controller changes its state. After the connection was lost,
+silence proves nothing. The program counts as *not executed* only if the controller says so after it has dropped all
+received data (a fence: see `Programs.fenced`). Otherwise it is *unknown* once the patience is over. ::
 
     sent ──accepted──▶ running ──▶ finished | interrupted
       │                   └───────▶ unknown       (another boot; patience over)
@@ -20,7 +20,7 @@ from experiments.links.protocol import Fate, LinkLostError, Phase, RefusedError,
 
 __all__ = ["MAX_AGE", "Programs"]
 
-MAX_AGE = 0.5  # s: a status that is older is not moved by
+MAX_AGE = 0.5  # s: no motion is sent on the basis of an older status
 CONFIRMED = 1.0  # s within which a status should say what an event has said; then the event counts alone
 REMEMBERED = 1000  # programs whose fate can be asked for
 
@@ -125,7 +125,7 @@ class Programs:
             current.since = time.monotonic()
 
     def seen(self, status: Status) -> None:
-        """Take what a status says of programs as evidence."""
+        """Update the state from what a status says of programs."""
         with self._changed:
             boot = status.boot
             if self._boot is None and status.running:
@@ -158,7 +158,7 @@ class Programs:
             self._end(Phase.UNKNOWN, current.fate.point, f"program {status.accepted} of another client came after it")
 
     def fenced(self, number: int, status: Status) -> None:
-        """Judge by a status that was asked for after the controller had dropped what it had received of a program."""
+        """Decide by a status requested after the controller had dropped all data of the program."""
         self.seen(status)
         with self._changed:
             current = self._current
@@ -245,7 +245,7 @@ class Programs:
 
 
 def _refuse_by(status: Status, running: int) -> None:
-    """Refuse what the controller would refuse, by its last status."""
+    """Refuse a program that the controller would refuse, according to its last status."""
     if status.age > MAX_AGE:
         raise LinkLostError(f"the robot's status is {status.age:.1f} s old, too old to move by")
     refusals = (

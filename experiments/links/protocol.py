@@ -1,8 +1,8 @@
-"""What every link to a robot offers, of whatever vendor: values, calls and errors.
+"""The interface of a link to a robot of any vendor: values, calls and errors.
 
-A link says what it can do and what its numbers are. It keeps the last status that the controller has told, with its
-age. It sends a program of moves once, and reports what became of it. A program whose fate is not known is never sent
-again; a person looks, and confirms. What becomes of programs is decided in :mod:`experiments.links.programs`.
+A link states its capabilities and the units of its numbers. It keeps the controller's last status with its age. It
+sends a program of moves once and reports the result. If the result is unknown, the program is never sent again, and a
+person must look and confirm. :mod:`experiments.links.programs` decides on the results.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A Universal Robots controller over RTDE, version 2, reading only: ``rtde://HOST:30004``.
 
-Joints, currents and temperatures come at the rate that is asked for. A motion would need a program on the controller
-that takes numbers, moves once, and says so. It is not here: nothing that plays such a controller was there to test it.
+Joints, currents and temperatures come at the requested rate. Motions are not implemented. They would need a program on
+the controller, and no such controller was available for tests.
 
 Source: Universal Robots, Real-Time Data Exchange (RTDE) Guide.
 """

@@ -1,7 +1,7 @@
-"""The two EthernetKRL channels, said once: tags, types and limits of every document that goes over them.
+"""The schema of the two EthernetKRL channels: tags, types and limits of every document.
 
-The config files, the KRL programs, the client and the virtual controller are all made of this. An element that is
-changed here is changed on both sides. The units on the wire are the controller's: degrees, percent, kelvin, ms.
+The config files, the KRL programs, the client and the virtual controller are all made from this schema, so a change
+here changes both sides. The units on the wire are the controller's: degrees, percent, kelvin, ms.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Splits a stream of XML documents, whatever pieces it comes in, with bounded memory.
+"""Splits a stream of XML documents into single ones, with bounded memory.
 
 EthernetKRL sends one root element after another: no prolog, no length, no terminator; blanks and NULs may stand
 between them. Anything else a stream may hold (entities, declarations, comments, CDATA, processing instructions) is an
@@ -56,7 +56,7 @@ class Splitter:
         Raises
         ------
         StreamError
-            Something else came, or more than is bearable.
+            Something else came, or a document is too long.
         """
         found: list[tuple[str, Mapping[str, str]]] = []
         self._buffer += data

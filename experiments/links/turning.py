@@ -1,4 +1,4 @@
-"""Whether a robot turns, from one status to the next: an arm brakes on after its program was aborted."""
+"""Whether the joints move, from one status to the next: an arm still brakes after its program was aborted."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["SHORTEST_STATUS_INTERVAL", "Turning", "turns"]
 Array = npt.NDArray[np.float64]
 
 SHORTEST_STATUS_INTERVAL = 0.01  # s at least between two statuses that are compared
-PACE = 5e-3  # rad/s from which on joints turn: encoders flicker less, and an arm is slower only at its very end
+PACE = 5e-3  # rad/s above which a joint moves: encoder noise is less, and only an arm about to stop is slower
 
 
 class Turning:

@@ -1,4 +1,4 @@
-"""What links say of themselves and of the robot, as frozen values; SI and radians, whatever the wire has."""
+"""Capabilities and states of links, as frozen values; in SI units and radians, whatever the protocol uses."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ class Program:
 
 @dataclass(frozen=True, eq=False)
 class Status:
-    """What the controller said last, and when it came.
+    """The controller's last status, and when it came.
 
     Attributes
     ----------

@@ -5,8 +5,8 @@ at several postures, each axis that bears weight is fitted by ::
 
     y = k·τ + c        (c: friction and whatever does not depend on the posture)
 
-k is 1 where the unit is right. Masses of a description and friction at rest leave a factor of two; gears and per cent
-are further off than that.
+k is 1 if the unit is right. Errors of the described masses and friction at rest change k by less than a factor of two.
+The wrong side of the gears, or per cent, changes it by more.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def check_torque_unit(
     Raises
     ------
     ValueError
-        Too few postures, or none that tell.
+        There are too few postures, or gravity differs too little between them.
     """
     q, y = np.atleast_2d(np.asarray(joints, dtype=np.float64)), np.atleast_2d(np.asarray(torques, dtype=np.float64))
     if q.shape != y.shape or q.shape[1] != robot.n or len(q) < FEWEST_POSTURES:

@@ -1,13 +1,13 @@
-"""Metrics of ISO 9283 over a table of poses: which returns belong together, and how well so few of them tell.
+"""Metrics of ISO 9283 over a table of poses, with their uncertainty from few returns.
 
-ISO 9283 has thirty returns to each of five poses. A calibration has many poses and two or three returns, so beside the
-standard's formula stand
+ISO 9283 has thirty returns to each of five poses. A calibration has many poses and two or three returns, so these
+are given beside the standard's formulas:
 
 * an interval for the mean over such poses (Student's t over poses; targets of one pose are averaged first),
-* what the returns' scatter alone would show as AP, vAP or drift, were there nothing else: the formula's mean over
-  normal errors with the pooled covariance, at the same numbers of returns,
-* RP as thirty returns would show it. Two returns lie equally far from their middle, so that S_l is 0 and RP a third of
-  what thirty show. With the pooled covariance Σ of N(0, Σ), E l is (1/√π) ∫ (1 − Π (1 + 2 λ_i s²)^(-1/2)) / s² ds over
+* the AP, vAP or drift that the returns' scatter alone would give: the formula's mean over normal errors with the pooled
+  covariance, at the same numbers of returns,
+* RP as thirty returns would give it. Two returns are equally far from their mean, so S_l is 0 and RP a third of the
+  value from thirty. With the pooled covariance Σ of N(0, Σ), E l is (1/√π) ∫ (1 − Π (1 + 2 λ_i s²)^(-1/2)) / s² ds over
   its eigenvalues, and E l² its trace; the interval is that of the trace, chi-square with Satterthwaite's degrees of
   freedom. It holds if the scatter is normal and the same at all places.
 
@@ -69,7 +69,7 @@ class Metric:
     interval
         95 % of the mean over such poses, or None of a single one.
     by_scatter
-        Mean that the returns' scatter alone would show; None where nothing tells it, and for RP, which is the scatter.
+        Mean that the returns' scatter alone would give; None if it is unknown, and for RP, which is the scatter.
     axes
         Means about x, y and z, rad; None of positions.
     """

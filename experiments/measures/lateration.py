@@ -29,11 +29,11 @@ class Located:
         ``(N,)`` m: measured less calculated distances, the constant apart.
     spread
         ``(3,)``, ascending: how the directions from the anchor to the points spread, 0 to 1; the first is near zero
-        where all lie in a plane through the anchor, so that where it is across that plane is hardly told.
+        where all lie in a plane through the anchor, so its place across that plane is hardly identifiable.
     mirrored
         ``(3,)`` m: another place that fits as well, as of points in a plane; else None.
     constant
-        m: by what all distances are too long, where they say so; else 0. It is rough, as the points are.
+        m: a common error of all distances, if it is significant; else 0. Rough, as the points are.
     """
 
     place: FloatArray
@@ -51,9 +51,9 @@ class Located:
 def locate(points: FloatArray, distances: FloatArray) -> Located:
     """Locate an anchor by lateration.
 
-    The squares of the distances are linear in the place and its own square, which gives a start without any guess; as
-    points in a plane leave two places, either side of the plane that fits the points best is tried, and the likelier
-    one taken. Errors count by their size, not its square, beyond two millimetres, so that wrong rows do not decide.
+    The squared distances are linear in the place and its square, which gives a start without a guess. Points in a plane
+    leave two places, so both sides of the plane are tried and the better one is taken. Beyond two millimetres errors
+    count by their size, not its square, so wrong rows do not decide.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Returns to a pose that differ by noise alone, and how many of them an estimate of the noise needs."""
+"""Returns to a pose that differ by noise alone, and how many are needed to estimate the noise."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["ENOUGH_RETURNS", "SAME_TEMPERATURE_K", "comparable_returns", "freedo
 
 # Returns count as replicates only where nothing but noise should differ (INTERFACE.md).
 SAME_TEMPERATURE_K = 0.5
-# Degrees of freedom (13 % of a coordinate's sigma, 7 % of the norm) below which the maker knows better than replicates.
+# Degrees of freedom (13 % of a coordinate's sigma, 7 % of the norm) below which the stated noise is more accurate.
 ENOUGH_RETURNS = 30
 
 Array = npt.NDArray[np.float64]
@@ -42,7 +42,7 @@ def comparable_returns(place: Array, visit: Integers, direction: Array, warmth: 
         members = known[group.ravel() == g]
         _, first = np.unique(visit[members], return_index=True)
         members = members[np.sort(first)]
-        # A sensor that was not read in one of two visits says nothing of their difference.
+        # A sensor that was not read in one of two visits does not show their difference.
         members = members[~np.any(np.abs(warmth[members] - warmth[members[0]]) > SAME_TEMPERATURE_K, axis=1)]
         if len(members) > 1:
             out.append(np.asarray(members, dtype=np.int64))

@@ -5,7 +5,7 @@ drifts. The best candidates are refined by least squares on mutually nearest eve
 
     robot time = offset + (1 + drift) (instrument time - middle) + side * lag,    side = 1 (start), -1 (end)
 
-``lag`` takes up what both logs see differently by symmetry, such as a long sampling step.
+``lag`` is a symmetric difference between the logs, such as a long sampling step.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def fit_clocks(instrument: Stops, robot: Stops, near_s: float | None = None) -> 
         counts = f"{len(best.residuals)} and {len(rival.residuals)} starts and ends match"
         raise ValueError(f"expected one offset of the clocks, found {both} ({counts}); state it as offset in seconds")
     n = len(best.residuals)
-    # What both logs see differently need not be the same at starts and ends; no number of events averages that out.
+    # Differences between the logs may be unlike at starts and ends; more events do not average that out.
     systematic = robot.step_s / np.sqrt(12), best.lag
     return ClockFit(
         offset_s=best.offset + base - middle, offset_std_s=float(np.linalg.norm([best.std[0], *systematic])),

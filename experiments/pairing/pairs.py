@@ -1,7 +1,7 @@
 """Pairs the stops of an instrument's log with those of a robot's log.
 
-A pair is one stop of the robot and all still samples of the instrument within it. What is doubtful is left out, with
-the reason: a wrong pair in a calibration costs more than a missing one.
+A pair is one stop of the robot and all still samples of the instrument within it. Doubtful pairs are left out, with
+the reason: a wrong pair harms a calibration more than a missing one.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ FloatArray = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 MIN_SAMPLES = 3
-SETTLING_S = 0.5  # an arm may shake so long after its encoders stand still
+SETTLING_S = 0.5  # the arm may vibrate so long after its encoders are at rest
 MOVED_RAD = 1e-3  # a joint that came from farther than this came from a direction (as of an imported table)
 
 

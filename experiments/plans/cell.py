@@ -1,4 +1,4 @@
-"""The cell that a plan is made for: from a campaign that was measured in it, or as the campaign format's example."""
+"""The cell of a plan: from a campaign measured in it, or as in the example of the campaign format."""
 
 from __future__ import annotations
 

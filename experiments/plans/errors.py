@@ -6,7 +6,7 @@ __all__ = ["PlanError", "PlanStopped"]
 
 
 class PlanError(ValueError):
-    """A plan, or a call that makes or runs one, that cannot be meant."""
+    """A plan is wrong, or a call that makes or runs one."""
 
 
 class PlanStopped(RuntimeError):  # noqa: N818 - being stopped is no error

@@ -16,7 +16,7 @@ __all__ = ["Limits", "course_of", "limits_of", "motion_faults"]
 HALF_TURN = np.pi  # rad, range of a joint whose description has no limit
 RAMP_TIME = 0.5  # s to the top speed, where no acceleration is known
 SPEED = 1.0  # rad/s, where no speed is known
-ROUND = 1e-9  # relative: what printing a number may add
+ROUND = 1e-9  # relative: rounding of a printed number
 
 
 @dataclass(frozen=True)

@@ -225,9 +225,9 @@ class Plan:
     least_torque
         How the posture of least torque is searched for in each clamping; None: it is not.
     assumed
-        What nobody said and was taken as usual, in words.
+        Assumptions where nothing was stated, in words.
     wished
-        What it was made from (time budget, seed, …), for the record.
+        The request that it was made from (time budget, seed, …), for the record.
     """
 
     kind: Kind

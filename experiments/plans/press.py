@@ -1,8 +1,8 @@
-"""What a clamp carries when a joint is driven against it: springs in the drives, a flange that does not move.
+"""The load on a clamp when a joint is driven against it: springs in the drives, and a fixed flange.
 
-With the flange held, a drive that is commanded by dq beyond the posture winds its springs, tau = load + C⁻¹ dq with
-C = Tᵀ diag(1/k) T, and all but what holds the weight goes through the flange: W = J⁻ᵀ (tau - load). Clearance and a
-clamp that yields only take away from that, so that this is the most that is to be expected of springs that stiff.
+If the flange is fixed and the joints are commanded by dq beyond the posture, the springs wind up,
+tau = load + C⁻¹ dq with C = Tᵀ diag(1/k) T. All but the weight goes through the flange: W = J⁻ᵀ (tau - load).
+Clearances and a yielding clamp reduce this load, so it is an upper bound for springs of this stiffness.
 Source: the thesis's clamping experiment; Lynch & Park, Modern Robotics, section 5.2 (statics).
 """
 

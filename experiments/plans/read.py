@@ -1,4 +1,4 @@
-"""Reads a plan and holds it against its own limits: what cannot be run safely is refused before anything moves."""
+"""Reads a plan and checks it against its own limits: an unsafe plan is refused before anything moves."""
 
 from __future__ import annotations
 

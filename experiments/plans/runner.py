@@ -29,7 +29,7 @@ from experiments.plans.write import plan_text
 
 __all__ = ["run_plan", "work_folder"]
 
-BETWEEN_S = 1.0  # s between the clocks of two sessions of one campaign: how long it really was, nobody logged
+BETWEEN_S = 1.0  # s between the clocks of two sessions of one campaign; the true gap was not logged
 Stop = Callable[[], bool]
 Step = tuple[str, str, Callable[[], pd.DataFrame]]  # what it is, its table, and how to do it
 

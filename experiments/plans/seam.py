@@ -1,4 +1,4 @@
-"""The seam between a plan's runner and whatever executes it: a controller behind a link, or the virtual robot."""
+"""The interface of a plan's runner to what executes the plan: a controller behind a link, or the virtual robot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class RobotSeam(Protocol):
     """
 
     def declared(self) -> Mapping[str, Any]:
-        """What the cell says of itself in the keys of ``campaign.toml``; empty where only the plan knows."""
+        """The cell in the keys of ``campaign.toml``; empty if only the plan states it."""
 
     def log(self, course: Course, rate: float) -> pd.DataFrame:
         """Go to the course's start, follow it, and give the log, ``rate`` Hz: a table like ``free_air``."""

@@ -12,7 +12,7 @@ from experiments.plans.press import holding_torque, wrenches
 
 __all__ = ["sweep_fault", "validate_plan"]
 
-ROUND = 1e-6  # relative: what printing a number may add
+ROUND = 1e-6  # relative: rounding of a printed number
 
 
 def validate_plan(plan: Plan, where: str = "plan") -> None:

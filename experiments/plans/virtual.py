@@ -1,4 +1,4 @@
-"""The virtual robot as the runner's peer, in this process: plan, measure and identify without a robot."""
+"""The virtual robot for the runner, in this process: plan, measure and identify without a robot."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class VirtualRobot:
     robot
         The nominal robot.
     hidden
-        What this individual has: ``effect``, ``effect@joint3``, ``effect@joint3:2.0``.
+        Hidden effects of this individual: ``effect``, ``effect@joint3``, ``effect@joint3:2.0``.
     seed
         Which individual, and which noise.
     """
@@ -51,7 +51,7 @@ class VirtualRobot:
         self.session.clamp(posture)
 
     def press(self, joint: int, offset: Array, dwell: float) -> Iterator[Mapping[str, float]]:
-        """Give the readings one by one; what is not asked for has not happened."""
+        """Give the readings one by one; a step is made only when its reading is requested."""
         # A later step changes nothing in an earlier one, so that all may be worked out at once.
         for row in self.session.sweep(joint, offset, dwell).to_dict("records"):
             yield {str(key): float(value) for key, value in row.items()}

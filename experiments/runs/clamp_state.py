@@ -1,4 +1,4 @@
-"""Where a clamping campaign stands, as its journal says."""
+"""The state of a clamping campaign, from its journal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["ClampState", "clamp_state"]
 
 @dataclass
 class ClampState:
-    """What is done, and how the flange is.
+    """Which sweeps are done, and whether the flange is clamped.
 
     Attributes
     ----------

@@ -16,7 +16,7 @@ from experiments.runs.load import slope_of
 __all__ = ["compared_places"]
 
 DIFFERENT = 3.0  # standard errors
-AT_LEAST = 0.05  # of the stiffness: less is a matter of play and of friction that follows the load
+AT_LEAST = 0.05  # of the stiffness: smaller differences may come from clearance and load-dependent friction
 
 
 def compared_places(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Iterator[str]:
@@ -58,7 +58,7 @@ def compared_places(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Iterato
 
 
 def _both_ways(motor: Array, torque: Array, offset: Array) -> tuple[float, float] | None:
-    """Mean slope over the ways there and back, in which friction has one sign each."""
+    """Mean slope of the two directions; in each of them friction has one sign."""
     steps = np.sign(np.diff(np.r_[0.0, offset]))
     turns = np.r_[0, np.flatnonzero(np.diff(steps)) + 1, len(steps)]
     slopes = [slope_of(motor[a + 1 : b], torque[a + 1 : b]) for a, b in pairwise(turns) if b - a > 4]

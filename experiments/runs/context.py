@@ -1,4 +1,4 @@
-"""What the parts of a run share: the plan, the robot, the instrument, the person, the journal."""
+"""The context that the parts of a run share: plan, robot, instrument, person, journal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from experiments.runs.robot import ARRIVED, LinkedRobot
 __all__ = ["SLOW", "Block", "Context", "place_on", "straight_to"]
 
 SLOW = 0.1  # share of the top speeds for motions that no plan has checked
-ON_PATH = 2e-3  # rad: further off a planned line, the robot has been moved by somebody else
+ON_PATH = 2e-3  # rad: farther from a planned line, somebody else has moved the robot
 
 Say = Callable[[str], None]
 

@@ -1,4 +1,4 @@
-"""What a run of a plan would do: every motion with its time and limits, without a robot."""
+"""A dry run of a plan: every motion with its time and limits, without a robot."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Motion:
     travel
         Of the joint that turns most, rad.
     limit
-        What it comes nearest to, in words, with the share of that limit.
+        The nearest limit, in words, with the share of it that is used.
     measured
         Which table gets rows at its end; empty: none.
     """

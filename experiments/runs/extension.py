@@ -16,7 +16,7 @@ __all__ = ["extended"]
 
 
 def extended(plan: Plan, more: Plan, most: int) -> Plan:
-    """The plan with at most ``most`` visits, runs or sweeps of another behind its own, and their share of its time.
+    """The plan followed by at most ``most`` visits, runs or sweeps of another plan, and their share of the time.
 
     Raises
     ------

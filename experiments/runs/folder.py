@@ -31,7 +31,7 @@ def work_folder(folder: str | Path) -> Path:
 
 
 def tables_of(entries: Iterable[Mapping[str, Any]]) -> dict[str, pd.DataFrame]:
-    """The tables that a journal holds; what was declared void is not in them.
+    """The tables of a journal, without entries that were declared void.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def _tables_of(entries: Iterable[Mapping[str, Any]]) -> dict[str, pd.DataFrame]:
     tables = {name: pd.DataFrame(found) for name, found in rows.items() if found}
     if "clamped" in tables:  # a sweep that was repeated stands where its number says
         tables["clamped"] = tables["clamped"].sort_values("sweep", kind="stable", ignore_index=True)
-    # A sensor that was silent once has no column that a table could hold.
+    # A sensor with a missing reading gets no column.
     tables = {name: frame.dropna(axis=1) for name, frame in tables.items()}
     return tables | {name: pd.concat(parts, ignore_index=True) for name, parts in logs.items()}
 
@@ -117,7 +117,7 @@ def convert(plan: Plan, entries: Iterable[Mapping[str, Any]], folder: Path, *, j
     PlanError
         There are no rows, or another table is there.
     CampaignError
-        What was recorded is no campaign: the journal stays where it is.
+        The records are no valid campaign: the journal stays where it is.
     """
     before = check_folder_for(plan, folder)
     new = tables_of(entries)

@@ -1,4 +1,4 @@
-"""Every posture to which a run of a plan may ever send the robot: a test can hold against it what moved."""
+"""Every posture to which a run of a plan may send the robot: tests compare the real motions with it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """The journal of a run: one line for each thing that happened, on the disk before the next one begins.
 
 A line is eight hexadecimal digits (CRC-32 of the rest), a blank, and a JSON object. A process that is killed, or a
-power cut, leaves at most one line that is not whole. It is dropped when the journal is opened again: what it was about
-has not been recorded, and is measured again.
+power cut, leaves at most one line that is not whole. It is dropped when the journal is opened again, and
+its step is measured again.
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
-"""Finds the posture of least torque of a clamped arm: small steps of each joint, until the clamp presses nothing in.
+"""Finds the posture of least torque of a clamped arm, by small steps of each joint until the clamp has no preload.
 
-Closing a clamp leaves a preload: a flange that is not quite where the block wants it winds the drives' springs up.
+Closing a clamp leaves a preload: the block shifts the flange a little and so winds up the springs of the drives.
 Before the clamp is closed, the torques that hold the arm there are measured. After it, each joint goes step by step
-towards what its motor carried then,
+towards its torque of before,
 
     dq_j = -(tau_j - held_j) / k_j,   rounded to whole steps, one step at a time,
 
 read from both sides at every place, so that Coulomb friction cancels in the mean. It ends when no joint would go by
-half a step, and no joint leaves the bounds of the search. What is found is the reference of the clamping's sweeps.
+half a step, and no joint leaves the bounds of the search. The posture found is the reference of
+the clamping's sweeps.
 Source: the thesis, 3.3 (incremental motions to the configuration of least torque, before backlash and stiffness).
 """
 
@@ -102,7 +103,7 @@ def least_torque_posture(context: Context, sweep: Sweep, search: LeastTorque, st
 
 
 def _nearest(joints: Array, posture: Array, search: LeastTorque) -> Array:
-    """The place of the search's grid where the robot stands ``(n,)``: after a break that is not the posture."""
+    """The nearest grid point of the search to the robot ``(n,)``; after a break it is not the clamped posture."""
     steps = np.clip(np.round((joints - posture) / search.step), *(s * _most(search) for s in (-1.0, 1.0)))
     return np.asarray(posture + steps * search.step)
 

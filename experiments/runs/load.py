@@ -12,7 +12,7 @@ from experiments.plans.press import flange_jacobian, holding_torque, wrench
 
 __all__ = ["FREE", "Watch", "loaded", "slope_of"]
 
-FREE = 0.25  # of the described stiffness: no drive was found four times as soft; less, and nothing holds the flange
+FREE = 0.25  # of the described stiffness: no drive is four times as soft, so below this the flange is free
 CERTAIN_SLOPE = 3.0  # standard errors by which it is below that
 MIN_READINGS = 5  # readings that a slope is taken from
 

@@ -1,15 +1,15 @@
-"""Finds that a clamp gives way more than it did: the standing motors answer a joint's sweep otherwise than before.
+"""Finds a clamp that has become looser: the torques of the standing motors in a sweep differ from those of before.
 
-The same joint is driven over the same steps again. Whatever the block, the springs and the friction make of that, they
-make it again, so that between two sweeps of one clamping a standing motor's torque differs by a constant, a drift and
-noise (`experiments.runs.sweep_noise`). With d the mean over a joint's last sweeps less the mean over those before, and
+The same joint is driven over the same steps again. Block, springs and friction then repeat their torques. Between two
+sweeps of one clamping a standing motor's torque differs only by a constant, a drift and noise
+(`experiments.runs.sweep_noise`). With d the mean over a joint's last sweeps less the mean over those before, and
 w the waves of h = 1, 2 periods per loop,
 
     F = mean over joints, standing motors, h and w of (w·d)² / (power of the noise at h · (1/last + 1/before))
 
 follows Fisher's distribution. The last one, two, four, ... sweeps are taken together, whatever joints they drive. A
-block that has begun to rock, or a bolt that has come loose, adds what follows the load: mostly h = 1, and h = 2 where
-it rests longer on one side. The flange then moves as the load pushes it, which is asked for as well.
+block that rocks, or a loose bolt, adds a torque that follows the load: mostly h = 1, and h = 2 if it rests longer on
+one side. The flange must also move in the direction of the load.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def find_loosening(
     looks: int = 1,
     level: float,
 ) -> Loosening | None:
-    """Whether the last ones of a clamping's sweeps differ from those of their joints before.
+    """Whether the last sweeps of a clamping differ from earlier sweeps of the same joints.
 
     Parameters
     ----------
@@ -78,9 +78,9 @@ def find_loosening(
     joints
         Which joint each of them drives, from 0.
     looks
-        So many times this is asked in the run.
+        How often the run makes this test.
     level
-        Chance of a false alarm in them all.
+        Probability of a false alarm in all of these tests.
     """
     noise = noise_of([s for s in sweeps if len(s.time) == len(sweeps[-1].time)], HARMONICS)
     if noise is None:

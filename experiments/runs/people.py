@@ -1,4 +1,4 @@
-"""The person at the robot: is asked before a first motion, after a break, and to close or open the clamp."""
+"""The person at the robot: confirms the first motion and motions after a break, and closes or opens the clamp."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Console:
 
 
 class Yes:
-    """A script that answers for a person who has looked; it has no hands for a clamp."""
+    """Answers yes for a person who has looked; it cannot close a clamp."""
 
     def __init__(self, say: Say) -> None:
         self._say = say
@@ -90,7 +90,7 @@ class Yes:
 
 
 class VirtualOperator:
-    """The hands at ``clampid virtual-robot --operator HOST:PORT``; questions go to somebody else.
+    """The virtual operator at ``clampid virtual-robot --operator HOST:PORT``; questions go to another `Person`.
 
     Parameters
     ----------

@@ -157,7 +157,7 @@ def _measured(visit: Visit, sample: Sample) -> tuple[str, dict[str, Any]]:
 
 
 def _temperatures(instrument: Instrument) -> dict[str, float]:
-    """What the instrument's sensors say; a point is worth having without them."""
+    """Temperatures of the instrument's sensors; a point is kept without them."""
     try:
         return dict(instrument.temperatures())
     except InstrumentError:

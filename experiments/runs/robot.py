@@ -1,4 +1,4 @@
-"""The robot behind a link, as a run needs it: go there, stand, say where you are and what your motors feel.
+"""The robot behind a link, as a run needs it: move, stand, and read joint angles and motor torques.
 
 Every motion is written to the journal before it is sent, and its end after it. A program is sent once. What became of
 it is what the link says; where that is not *finished*, the run stops, and a person looks.
@@ -22,7 +22,7 @@ from kinematics.description import RobotDescription
 
 __all__ = ["ARRIVED", "LinkedRobot", "Reading", "share_of"]
 
-ARRIVED = 2e-4  # rad: more than encoders, commands and four-byte floats leave between a command and its posture
+ARRIVED = 2e-4  # rad: above the rounding of encoders, commands and four-byte floats
 FRESH = 0.5  # s: age of a status that is believed
 CONNECT = 30.0  # s that a broken connection may take to come back
 POLL = 0.005  # s

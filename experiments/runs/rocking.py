@@ -1,4 +1,4 @@
-"""Finds that a clamp rocks, from motors that stand while another one is driven.
+"""Finds a clamp that rocks, from the motors at rest while another one is driven.
 
 A block that stands unevenly tilts from one rest to another when the load on it changes its sign, and back when the load
 turns. Each standing motor's torque then has, beside what it may follow in any case (`experiments.runs.slips`),
@@ -12,8 +12,8 @@ s² over its variance follows Fisher's distribution; the noise is that of `exper
 to give way: the flange moves as the load pushes. A clearance that a standing drive crosses looks alike, and pushes
 back. And it has to explain more than u^3: a block that yields gets stiffer smoothly.
 
-The probability is multiplied by the number of grid points, of means, and of times that this is asked in a run
-(Bonferroni). A clamp that begins to rock is seen much better by `experiments.runs.loosening`.
+The probability is multiplied by the number of grid points, of means and of tests in a run (Bonferroni).
+`experiments.runs.loosening` is more sensitive to a clamp that begins to rock.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ __all__ = ["Rocking", "find_rocking"]
 LEAST_TURNS = 3  # of the block in a sweep; one or two are a shift, or one and its way back
 EDGE = 3  # readings in either rest
 WIDTHS = (0.01, 0.25, 0.5, 1.0)  # of the largest wind-up: over how much of the way the block tilts
-POWERS = (1,)  # of the wind-up, which a torque may follow without a tilt
+POWERS = (1,)  # of the wind-up, regressors without a tilt
 HARMONICS = 6  # of the loop, in which noise is told apart
-LEAST_LEFT = 0.02  # of a template's squares: the rest is what a torque may follow without a tilt
+LEAST_LEFT = 0.02  # of a template's squares; the rest is explained without a tilt
 
 Indices = npt.NDArray[np.int64]
 
@@ -93,9 +93,9 @@ def find_rocking(
     joint
         The driven one, from 0.
     looks
-        So many times this is asked in the run.
+        How often the run makes this test.
     level
-        Chance of a false alarm in them all.
+        Probability of a false alarm in all of these tests.
     """
     now = sweeps[-1]
     same = [sweep for sweep in sweeps if alike(sweep, now)]
@@ -153,7 +153,7 @@ def _turns(states: Array) -> npt.NDArray[np.int64]:
 def _sizes(rows: Sequence[SweepRows], still: Indices, states: Array, noise: Noise) -> tuple[Array, Array, Array]:
     """Step of each tilt by motor in the mean of sweeps, Nm, and its standard error ``(s, R)``; freedoms ``(R,)``.
 
-    Beside what a torque may follow in any case. Where too little of a tilt is left of that, the error is infinite.
+    With the other regressors removed. If too little of a tilt remains, the error is infinite.
     """
     design = design_of(rows[-1:], [True], POWERS)
     basis, values, _ = np.linalg.svd(design, full_matrices=False)

@@ -107,7 +107,7 @@ def run(plan: Plan, folder: Path, asked: Asked) -> Outcome:
         outcome = _run(plan, folder, asked, work)
     except (PlanError, RunStopped, InstrumentError):
         if asked.journal is not None and not any(e["what"] in TRACES for e in asked.journal.entries):
-            shutil.rmtree(work)  # nothing has happened that a further run would have to know
+            shutil.rmtree(work)  # nothing has happened that a later run needs
         raise
     shutil.rmtree(work)
     return outcome
@@ -201,7 +201,7 @@ def _finish(plan: Plan, asked: Asked, journal: Journal) -> str | None:
 
 
 def _grown(plan: Plan, journal: Journal) -> Plan:
-    """The plan with what was decided on while it ran."""
+    """The plan with the steps that were decided during the run."""
     last = next((entry for entry in reversed(journal.entries) if entry["what"] == "extended"), None)
     if last is None:
         return plan

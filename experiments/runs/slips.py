@@ -1,11 +1,11 @@
-"""Finds that a clamp has shifted, from motors that stand while another one is driven.
+"""Finds a clamp that has shifted, from the motors at rest while another one is driven.
 
 A motor that stands keeps its friction, and its spring keeps its wind-up, unless the flange moves. Its torque is then
 
     tau = constant + drift t + a u + b u^3 + c |u| + d dir,   u: how far the driven joint is wound up
 
-with another constant after each sweep that turned it, and a, b, c, d of each sweep: what a block that yields lets
-through. A clamp that shifts adds a step at one time to every motor at once. The step is looked for at every row, with
+with another constant after each sweep that turned it. The coefficients a, b, c, d of each sweep describe a block that
+yields. A clamp that shifts adds a step at one time to every motor at once. The step is looked for at every row, with
 the noise's autocorrelation allowed for, and judged by chi-squared over the standing motors, times the rows tried.
 """
 
@@ -24,10 +24,10 @@ from kinematics.description import RobotDescription
 
 __all__ = ["Shift", "SweepRows", "find_shift"]
 
-P_VALUE = 1e-10  # familywise over the rows tried; far out, because a few dozen rows tell their own noise badly
+P_VALUE = 1e-10  # familywise over the rows tried; small, because a few dozen rows determine their noise poorly
 EDGE = 4  # rows on either side of a step
 LAGS = 8  # of the autocorrelation
-LEAST_INFLATION = 2.0  # motor torques drift over seconds, and a few dozen rows show that too small
+LEAST_INFLATION = 2.0  # motor torques drift over seconds; a few dozen rows underestimate this
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +141,7 @@ def _steps_of(sweeps: Sequence[SweepRows], motor: int, steps: Array) -> tuple[Ar
 
 
 def design_of(sweeps: Sequence[SweepRows], still: Sequence[bool], powers: Sequence[int] = (1, 3)) -> Array:
-    """What a standing motor's torque may follow without a shift, ``(m, p)``; one constant for each time it stood.
+    """Regressors of a standing motor's torque without a shift, ``(m, p)``; one constant for each time it stood.
 
     ``powers`` of the wind-up, besides its magnitude and the direction.
     """

@@ -1,10 +1,10 @@
-"""Noise of the motors that stand during sweeps, from what their two loops do not have in common.
+"""Noise of the motors at rest during sweeps, from the difference of the two loops.
 
-A sweep makes the same loop twice. Whatever follows the driven joint, a tilt of the block included, therefore lies at
-even multiples of one period per sweep. What lies at odd ones is noise, and noise changes little from one multiple to
-the next. Its power at the multiple 2h is the mean of those at 2h - 1 and 2h + 1. What a straight drift adds to the odd
-ones is a step between the loops. It is taken off, and of the first multiple only the half without it is used. Motors
-have their own variance and one spectrum in common: their torques come through the same filter.
+A sweep makes the same loop twice. Any torque that follows the driven joint, a tilt of the block included, therefore
+lies at even multiples of one period per sweep. Torque at odd multiples is noise, whose power changes little from one
+multiple to the next. Its power at the multiple 2h is the mean of those at 2h - 1 and 2h + 1. A straight drift adds a
+step between the loops to the odd ones. It is removed, and of the first multiple only the half without it is used. Each
+motor has its own variance; all have one spectrum, because their torques pass the same filter.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def noise_of(sweeps: Sequence[SweepRows], harmonics: int) -> Noise | None:
     for _ in range(VARIANCE_ROUNDS):
         own = np.nanmean(power / shape[:, None, None], axis=(0, 1, 2))
         if not np.all(own > 0.0):
-            return None  # a torque that never changes is none that was measured
+            return None  # a torque that never changes was not measured
         shape = np.nanmean(power / own, axis=(0, 2, 3))
     known = np.count_nonzero(np.isfinite(power), axis=(0, 2, 3))  # values behind each of the spectrum's
     pairs = [slice(h - 1, h + 1) for h in range(1, harmonics + 1)]

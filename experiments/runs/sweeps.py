@@ -1,7 +1,7 @@
 """Runs a plan for a clamped robot: one step, one reading, one line of the journal, and the limits before the next step.
 
-What stops a sweep: a reading beyond a limit, a spring that does not wind up (the clamp is open), a clamp that has
-shifted or rocks. The drives are then unwound step by step on the way they came.
+A sweep stops at a reading beyond a limit, at a spring that does not wind up (the clamp is open), and at a clamp that
+has shifted or rocks. The drives are then unwound step by step on the same way.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ __all__ = ["run_sweeps"]
 
 SETTLE = 0.3  # of the dwell, after which samples are taken
 STEP_SHARE = 0.02  # of the top speeds: a step is small, and a reading is taken at rest
-FALSE_ALARM = 1e-3  # per run: the chance that a clamp that holds is said to rock or to have come loose, half each
+FALSE_ALARM = 1e-3  # per run: probability of a false alarm, half for rocking and half for a loose clamp
 ASSUMED_MARGIN = 1.6  # by which the plan's springs are stiffer than described, if it does not say
 
 

@@ -1,4 +1,4 @@
-"""From the torques of standing motors to the shift of the flange, and which way a driven joint pushes it."""
+"""The shift of the flange from the torques of standing motors, and the direction in which a driven joint pushes it."""
 
 from __future__ import annotations
 

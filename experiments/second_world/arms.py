@@ -21,7 +21,7 @@ _DOWN = (0.0, np.pi / 2, 0.0)  # flange of a wrist that points along +x: z forwa
 
 @dataclass(frozen=True)
 class Joint:
-    """A revolute joint: where its frame stands on the body before it, its axis, and what it may do."""
+    """A revolute joint: its frame on the body before it, its axis and its limits."""
 
     xyz_m: Array  # (3,) in the frame of the joint before
     rpy_rad: Array  # (3,)
@@ -82,7 +82,7 @@ def _rod(mass: float, start: Array, end: Array) -> Body:
 
 
 class DataSheet(NamedTuple):
-    """What a maker tells of an arm: axes of its joints (letters; small is +, capital is −), and points at zero.
+    """A maker's data of an arm: axes of its joints (letters; small is +, capital is −), and points at zero.
 
     Lengths in m, masses in kg, torques in Nm, speeds in rad/s; ranges, and where the arm is at home, in degrees.
     """

@@ -1,5 +1,5 @@
 """
-Where the bodies of an arm are, and what weighs on each joint, for many postures at once.
+The places of an arm's bodies and the loads on each joint, for many postures at once.
 
 Every pose effect of this world bends the chain at one of four places: before a joint (a tilt of its bearing), in the
 joint (its angle), at the end of a link (a shift and a turn), or at the base (a shift and a turn).
@@ -17,7 +17,7 @@ __all__ = ["Bend", "Frames", "Loads", "forward", "loads_of", "points_in_base"]
 
 @dataclass(frozen=True)
 class Bend:
-    """What the chain is off by at each place; bends add."""
+    """The deviation of the chain at each place; bends add up."""
 
     angle_rad: Array  # (N, n) added to the joint's angle
     tilt_rad: Array  # (N, n, 3) rotation vector of the joint's frame, in that frame, before the joint turns
@@ -68,7 +68,7 @@ def forward(arm: Arm, q: Array, bend: Bend) -> Frames:
     q
         Joint angles (N, n), rad.
     bend
-        What the chain is off by.
+        The deviations of the chain.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def points_in_base(frames: Frames, targets_m: Array) -> Array:
 
 def loads_of(arm: Arm, tool: Body, gravity_m_s2: Array, frames: Frames) -> Loads:
     """
-    Weigh what each joint carries.
+    The load on each joint by weight.
 
     Parameters
     ----------

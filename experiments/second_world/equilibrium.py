@@ -1,7 +1,7 @@
 """
-Where an arm comes to rest: drives that yield, clearances, and what else bends with the load, found by fixed point.
+The posture in which an arm comes to rest, with springs, clearances and other deflections under load.
 
-Loads depend on the posture that they deflect, so deflections and loads are computed in turn until they agree.
+Loads depend on the deflected posture, so deflections and loads are computed in turn until they agree (fixed point).
 """
 
 from collections.abc import Sequence
@@ -44,7 +44,7 @@ def clearance_side(robot: Robot, torque_Nm: Array, dirs: Array) -> Array:
 
 
 def _standard(state: PoseState) -> Bend:
-    """What a robot that hides nothing is off by."""
+    """The deviations of a robot without hidden effects."""
     robot, torque = state.robot, state.loads.torque_Nm
     bend = Bend.none(*state.visits.q.shape)
     bend.angle_rad[:] = -robot.compliance_rad_Nm * torque

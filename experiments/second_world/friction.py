@@ -1,5 +1,5 @@
 """
-Friction of drives, with forms of this world's own.
+Friction of drives, with laws that differ from those of the effects.
 
 Coulomb friction is either smooth in speed, F·tanh(w/w_s), or elastic before it slips (Dahl, 1968):
 dF/dθ = σ·(1 − F·sign(w)/F_c). Both are constant at speed. Viscous friction is a power of speed, the exponent of which

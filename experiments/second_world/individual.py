@@ -1,4 +1,4 @@
-"""One robot: the machine as it was built, which nobody knows, and the machine as its maker describes it."""
+"""One robot: the true machine as it was built, and the nominal machine as its maker describes it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -31,7 +31,7 @@ TABLES = ("free_air", "poses", "verification")
 
 @dataclass(frozen=True)
 class Truth:
-    """What was measured and what was hidden."""
+    """The true values of a measurement, and the hidden effects."""
 
     folder: Path
     hidden_file: Path

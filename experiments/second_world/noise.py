@@ -11,7 +11,7 @@ __all__ = ["NOISES", "Noise", "choose_noise", "draw_noise", "rounded"]
 
 @dataclass(frozen=True)
 class Noise:
-    """How measurements err; standard deviations are of the whole noise, whatever its kind."""
+    """Noise of measurements; standard deviations are of the total noise of any kind."""
 
     kind: str  # "white", "walk" (white and a random walk), "pink" (white and 1/f), "student" (t, 4 degrees of freedom)
     instrument: str

@@ -1,4 +1,4 @@
-"""How large a hidden effect is: the rms of what it adds to the measurements, over their noise."""
+"""The size of a hidden effect: rms of the values that it adds to the measurements, over the noise."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -45,7 +45,7 @@ def _rms(whitened: Array) -> float:
 
 
 def _beyond(values: Array, columns: Array) -> Array:
-    """What is left of values (M,) after a least-squares fit of columns (M, p)."""
+    """Residual of values (M,) after a least-squares fit of columns (M, p)."""
     if not columns.shape[1]:
         return values
     scale = np.linalg.norm(columns, axis=0)

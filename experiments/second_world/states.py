@@ -1,4 +1,4 @@
-"""What an effect may depend on: the state of the robot at each visit of a pose, and at each sample of a log."""
+"""The variables of an effect: the state of the robot at each visit of a pose, and at each sample of a log."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

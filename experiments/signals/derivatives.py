@@ -1,7 +1,7 @@
 """Speeds and accelerations of a log, and the same filter for anything else in it.
 
-**Filter lag is never physics here.** Every filter is symmetric in time, and where one still changes shapes (steps of
-friction become ramps), both sides of an equation have to pass it. For τ = Y(q, q̇, q̈)·φ with constant φ, filtering each
+**No filter adds a lag.** Every filter is symmetric in time. A filter still changes shapes (steps of friction become
+ramps), so both sides of an equation must pass it. For τ = Y(q, q̇, q̈)·φ with constant φ, filtering each
 column of Y and τ alike changes neither φ nor its bias::
 
     window = choose_window(q, time, run, order=2)
@@ -9,7 +9,7 @@ column of Y and τ alike changes neither φ nor its bias::
     Y = regressor(q, qd, qdd)                        # (N, p): friction's signs too are taken before the filter
     Yf, tauf = low_pass(Y, time, run, 2 * window), low_pass(tau[:, None], time, run, 2 * window)
 
-The filter of both sides is the longer one, so that what the derivatives have blurred is gone from τ as well.
+Both sides pass the longer filter, so that the blur of the derivatives is in τ as well.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def differentiate(
         Length of the window [s]; at least five samples are taken. By default chosen from the data:
         :func:`~experiments.signals.window.choose_window`.
     stale
-        Rows ``(N,)`` that only repeat the one before, and say nothing of their own time.
+        Rows ``(N,)`` that only repeat the one before and are not measurements.
     step
         The usual step of the log that the rows are a part of [s]; by default that of the rows.
     wanted

@@ -1,4 +1,4 @@
-"""Whether a log is sampled closely enough to be differentiated: the misfit of its local polynomials."""
+"""The misfit of local polynomials: whether a log is sampled closely enough to be differentiated."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _LATE = 1.5  # of its usual length, that a window may have
 def misfit(values: Array, time: Array, run: Integers, order: int, window_s: float, step: float) -> Array:
     """By how far five samples across the window of a local cubic are from any cubic, as a derivative ``(N, c)``.
 
-    Of motion that changes slowly within the window it is next to nothing. Where a move begins or ends between two
-    samples it is as large as the acceleration that is asked for. It is the fourth difference over the power of the
+    It is nearly zero if the motion changes slowly within the window. Where a move begins or ends between two samples,
+    it is as large as the acceleration itself. It is the fourth difference over the power of the
     spacing; infinite where a run ends or a sample is missing within the window.
 
     Parameters

@@ -102,10 +102,9 @@ def _order_statistic(below: Integers, edges: Array, rank: float) -> float:
 def held_sign(speed: Array, threshold: Array, run: Integers, position: Array, time: Array) -> Array:
     """Sign of the present or, at rest, of the last motion in the run ``(N, n)``; 0 before the first.
 
-    A smooth speed overshoots where a motion begins or ends, and has the wrong sign there for a few rows: of a log of
-    few rows a second by more than any threshold of rest. So a row counts as moving only if the positions beside it
-    have gone at least half as far, in that direction, as its speed says. Where noise or counts of the encoder hide
-    that in some rows, the sign of others is held.
+    A smoothed speed overshoots at the begin and end of a motion and has the wrong sign there for a few rows. In a log
+    of few rows a second the overshoot exceeds any threshold of rest. So a row counts as moving only if the neighbouring
+    positions have moved at least half as far, in that direction, as its speed says. Other rows keep the last sign.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Exact medians of streams that are too long for the memory: the bits of the answer are found sixteen at a time.
+"""Exact medians of streams that are too long for memory: the bits of the result are found sixteen at a time.
 
 A float64 read as an integer (its sign taken care of) has the order of the float, so that counting leading bits finds
 the leading bits of any order statistic; what shares its first sixteen is mostly little enough to be sorted. Source:

@@ -1,12 +1,12 @@
-r"""How far two logs are shifted in time against each other, from what they have in common, with its standard error.
+r"""The time shift between two logs, from their common signal, with its standard error.
 
 One log, such as a motor's torque y, follows the motion up to unknown factors:
 
     y(t) = Σ_p β_p x_p(t - s) + Σ_r γ_r z_r(t - s) + e
 
-with carriers x whose dependence on the motion is known, such as the shape of gravity, nuisances z, such as whatever
-friction might be, and s > 0 when y is logged late. Gauss-Newton on (β, γ, s). Only carriers tell s, and only by what
-no β or γ can imitate: d = -Σ β_p x_p', projected off all x and z. (A friction that is modelled not quite right would
+with carriers x whose dependence on the motion is known, such as the shape of gravity, nuisances z, such as friction,
+and s > 0 when y is logged late. Gauss-Newton on (β, γ, s). Only carriers determine s, and only by their part that no
+β or γ can imitate: d = -Σ β_p x_p', projected off all x and z. (A friction that is modelled not quite right would
 look like a shift of the motion's speed; a shift of viscous torque would look like inertia.) The standard error counts
 moves as independent, not rows: Σ_moves (Σ_rows d·e)² / (Σ d²)², whatever the colour of the noise within them (Liang &
 Zeger, Biometrika 73 (1986) 13).
@@ -141,7 +141,7 @@ def _linearised(
         return None
     shape = np.hstack([x[:, :p], z])
     factors = _factors(shape, y)
-    # Carriers that explain less than half say nothing of the shift: their factors would follow other errors.
+    # Carriers that explain less than half do not determine the shift: their factors would follow other errors.
     bare = y - z @ _factors(z, y)
     if np.sum(bare**2) < 2.0 * np.sum((y - shape @ factors) ** 2):
         return None
@@ -159,7 +159,7 @@ def _linearised(
 
 
 def _factors(columns: Array, target: Array) -> Array:
-    """Least squares by the normal matrix, small against the rows; directions it does not know to 1e-10 are left out."""
+    """Least squares by the normal matrix, small against the rows; directions below 1e-10 of the largest are omitted."""
     scale = np.sqrt(np.mean(columns**2, axis=0))
     scale = np.where(scale > 0.0, scale, 1.0)
     unit = columns / scale

@@ -1,8 +1,8 @@
-r"""How long a window to differentiate over: chosen from the data, by the spectra of motion and noise.
+r"""The length of the window for derivatives, chosen from the spectra of motion and noise.
 
 With G(ω) the filter's response divided by (iω)^ν, motion of spectrum S and white noise N (both of the log itself), the
-mean squared error of the ν-th derivative is Σ_ω ω^{2ν} [(1 - G)² S + G² N]: what the window blurs, and what noise it
-lets through. N is what the log's spectrum P ends in at the top of its band, and S = P - N below the first frequency at
+mean squared error of the ν-th derivative is Σ_ω ω^{2ν} [(1 - G)² S + G² N]: the blur of the window, and the noise that
+passes it. N is what the log's spectrum P ends in at the top of its band, and S = P - N below the first frequency at
 which P falls to 2N, that is S to N; beyond, nothing is taken for motion (Wiener's rule: there even the best filter's
 gain is below one half). The window chosen is the one with the smallest sum over joints of that error, as a share of
 the joint's Σ ω^{2ν} S: one filter for all joints, since it has to commute with equations that couple them.

@@ -1,4 +1,4 @@
-"""The robot behind the controller: an individual with its hidden truth, and what its sensors read at any time.
+"""The robot behind the controller: an individual with hidden effects, and the readings of its sensors at any time.
 
 Which individual it is follows from the seed as in `experiments.virtual_robot.measure`: a model identified from
 ``clampid simulate --seed N --hide …`` is a model of the robot that ``clampid virtual-robot --seed N --hide …`` plays.
@@ -130,7 +130,7 @@ class Arm:
         return one.end
 
     def tidy(self, now: float) -> None:
-        """Work out the temperatures until now, and forget what nobody can ask for any more."""
+        """Compute the temperatures until now, and drop data that cannot be requested any more."""
         self.warmth.advance(now)
         self.track.forget(min(now - MEMORY, self.warmth.time))
 
@@ -208,7 +208,7 @@ class Arm:
         self._clampings[-1] = replace(clamping, rocks=(now, np.concatenate([tilt, np.zeros(3)])))
 
     def gauges(self, now: float) -> Array | None:
-        """Return what the dial gauges at the block see, m and rad, (6,), with their noise; None: no clamp."""
+        """Return the readings of the dial gauges at the block, m and rad, (6,), with noise; None: no clamp."""
         clamping = self.clamped(now)
         if clamping is None:
             return None
@@ -226,7 +226,7 @@ class Arm:
     def points(self, times: Sequence[float]) -> Array:
         """Return the targets in the instrument's frame without noise of the instrument, m, (N, targets, 3)."""
         rows = self.track.at(times)
-        if self.plant.drive.slip.any():  # springs with hysteresis know where the arm stood before
+        if self.plant.drive.slip.any():  # springs with hysteresis depend on earlier postures
             arm = np.array([self._slipped(time) for time in times])
         else:
             arm, _ = arm_at_rest(self.plant, self.bodies, rows.q, rows.direction)

@@ -122,7 +122,7 @@ class _Client(asyncio.Protocol):
         self._channel.leave(self)
 
     def eof_received(self) -> bool:
-        return False  # a client that has said its last word is gone
+        return False  # a client that has closed its side is gone
 
     def data_received(self, data: bytes) -> None:
         faults = self._channel.faults

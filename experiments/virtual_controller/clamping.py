@@ -23,9 +23,9 @@ from experiments.virtual_robot.outside import outside_torque
 
 __all__ = ["Clamping", "close_clamp", "gauges", "held_torques"]
 
-WINDING_SHARE = 0.4  # of the rated torque, by which every joint is wound up on trial
+WINDING_SHARE = 0.4  # of the rated torque, to which every joint is wound up as a test
 BISECTIONS = 20  # a millionth of the tilt
-STIFF = 0.01  # of the torque that a rigid block would give back; less, and the joint just turns
+STIFF = 0.01  # of the torque against a rigid block; below it the joint turns freely
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Clamping:
 
 
 def close_clamp(plant: Plant, bodies: Bodies, time: float, rows: Rows, rng: np.random.Generator) -> Clamping:
-    """Clamp the flange of a robot that stands; what that presses into its joints is drawn.
+    """Clamp the flange of a robot at rest; the preload of its joints is drawn at random.
 
     Raises
     ------

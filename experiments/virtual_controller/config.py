@@ -1,4 +1,4 @@
-"""Reads a config file of EthernetKRL: what a channel takes, how much of it is stored, and what it sends.
+"""Reads a config file of EthernetKRL: the elements that a channel receives, stores and sends.
 
 Written from the descriptions of EthernetKRL 2.2, not from the code that generates such files here.
 """

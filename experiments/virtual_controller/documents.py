@@ -1,4 +1,4 @@
-"""XML documents one after another in a stream: taken apart by parsing, and written with every element.
+"""A stream of XML documents: split by parsing, and written with every element.
 
 Between documents, blanks, line ends and NUL bytes are skipped. A DTD, a processing instruction, deep nesting and
 whatever is no XML end the stream; so does a document larger than the channel's buffer.

@@ -1,4 +1,4 @@
-"""What can be wrong with a call or with what a client sends."""
+"""Errors of a call, or of the documents of a client."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class ControllerError(ValueError):
 
 
 class DocumentError(ValueError):
-    """A client sent what EthernetKRL does not take; the connection is closed.
+    """A client sent a document that EthernetKRL does not accept; the connection is closed.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Faults on demand: what goes wrong on which channel, as ``--faults`` and the operator's line say it.
+"""Faults on demand, by channel, as requested by ``--faults`` and the operator's line.
 
 ======================================  =============================================================================
 ``drop-after=[CHANNEL:][sent:]N``       the connection closes after N bytes received (or sent)

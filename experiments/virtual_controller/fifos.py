@@ -1,4 +1,4 @@
-"""What EthernetKRL stores of a channel: one queue for each element, all of the same length at most."""
+"""The queues of a channel in EthernetKRL: one for each element, with a common maximum length."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The truth, for evaluation: what was hidden, and what became of every program.
+"""The true values, for evaluation: the hidden effects, and the result of every program.
 
 ``FILE.json`` says what is hidden. ``FILE.journal.jsonl`` beside it has a line for every event, each written whole with
 one call, so that a process that is killed leaves no half of one. A controller that is started again with the same file

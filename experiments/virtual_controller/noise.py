@@ -1,4 +1,4 @@
-"""Noise that can be asked for again: row k of a stream is the same whenever, and in whatever order, it is asked for."""
+"""Reproducible noise: row k of a stream is the same at every request, in any order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The person at the controller, on a socket: what hands do at a real one.
+"""The operator of the controller, on a socket: the actions that a person does by hand at a real one.
 
 =========================  ============================================================================================
 ``estop`` / ``estop off``  press or release the emergency stop; the drives stay off after it

@@ -1,7 +1,6 @@
-"""What the KRL programs on the controller do: collect a program, check it, move, answer, stand still when they should.
+"""The KRL programs on the controller: they collect a program, check it, move, answer, and stop.
 
-All reactions are worked out at the time at which they are due, in the order of time, even when the process gets round
-to them later.
+All reactions are computed for the time at which they are due, in the order of time, even if the process is late.
 """
 
 from __future__ import annotations
@@ -127,7 +126,7 @@ class Controller:
             self._begin(whole)
 
     def _fault(self, boot: int, number: int, point: int, count: int) -> Reason:
-        """What is wrong with a point, its place and speed aside."""
+        """The error of a point, apart from its place and speed."""
         expected = 1 if self._collected is None else len(self._collected.points) + 1
         if boot != self.boot:
             return Reason.BOOT

@@ -1,4 +1,4 @@
-"""The ring buffer of samples on the controller; a sample is worked out when somebody asks for it."""
+"""The ring buffer of samples on the controller; a sample is computed on request."""
 
 from __future__ import annotations
 

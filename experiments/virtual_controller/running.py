@@ -1,4 +1,4 @@
-"""Builds what was asked for, and serves it until interrupted."""
+"""Builds the requested robot, and serves it until interrupted."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["Asked", "built", "play"]
 
 @dataclass(frozen=True)
 class Asked:
-    """What a virtual robot is made of.
+    """The settings of a virtual robot.
 
     Attributes
     ----------

@@ -137,7 +137,7 @@ class VirtualRobot:
         Raises
         ------
         ControllerError
-            The truth cannot be written any more: without it nobody could count what moved.
+            The true values cannot be written any more, so the motions could not be counted.
         """
         self._ended = asyncio.get_running_loop().create_future()
         await self._ended
@@ -169,7 +169,7 @@ class VirtualRobot:
         self.controller.motion_closed()
 
     def _tell(self, event: Mapping[str, Any]) -> None:
-        """An event of the programs: first on the disk, then to the client."""
+        """Report an event of the programs: first on the disk, then to the client."""
         if not self._kept(event) or "restart" in event or not isinstance(event["event"], Event):
             return
         self.motion.send(_moved(event))

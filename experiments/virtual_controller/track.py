@@ -1,7 +1,7 @@
-"""Where the axes were, are, and will be: the moves of the last minutes, with what each left behind in the drives.
+"""The course of the axes: the moves of the last minutes, with the state of the drives after each.
 
-Nothing is computed while time passes. A move knows in what state the dry friction was when it began; because every
-motor turns one way during a move, its state at any later time follows in closed form.
+Nothing is computed as time passes. A move stores the state of the dry friction at its start. Every motor turns in one
+direction during a move, so the state at any later time follows in closed form.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class _Left:
-    """What the moves before left behind, (n,) each; ``contacts`` (4, n)."""
+    """The state of the drives after the earlier moves, (n,) each; ``contacts`` (4, n)."""
 
     direction: Array
     motor_state: Array
@@ -171,7 +171,7 @@ class Track:
         return np.array([*ends, now.q[0]]), np.array([*came, now.direction[0]])
 
     def _after(self, one: Move, left: _Left, following: Move) -> _Left:
-        """What a move has left behind when the next one begins."""
+        """The state of the drives after a move, when the next one begins."""
         s = one.progress(one.end)[0]
         motor, contacts = self._friction(one, left, following.start, s)
         return _Left(

@@ -1,4 +1,4 @@
-"""The instrument: a laser tracker on a socket, which sees where the tool really is.
+"""The instrument: a laser tracker on a socket, which measures the true place of the tool.
 
 ========================  =============================================================================================
 ``measure N [TARGET]``    N points at 500 Hz from now on: ``points_m``, ``std_m``, ``temperature_C``, ``time_s``, …
@@ -119,6 +119,6 @@ class Tracker:
         return {"time_s": round(now, 4), **read}
 
     def _read(self, celsius: float) -> float:
-        """What a sensor reads: noisy, in hundredths."""
+        """The reading of a sensor: with noise, in steps of 0.01."""
         sigma = self._arm.plant.instrument.temperature_sigma
         return round(float(celsius + sigma * self._rng.standard_normal()), 2)

@@ -1,4 +1,4 @@
-"""Temperatures from switch-on on, worked out when they are asked for: memory does not grow with the hours.
+"""Temperatures since switch-on, computed on request: memory does not grow with the hours.
 
 The bodies and the step are those of `experiments.virtual_robot.heat`; only how far the axes went in each step is new.
 """
@@ -45,11 +45,11 @@ class Warmth:
 
     @property
     def time(self) -> float:
-        """Until when the temperatures are worked out, s."""
+        """Time until which the temperatures are computed, s."""
         return self.steps * HEAT_STEP
 
     def advance(self, time: float) -> None:
-        """Work out the temperatures until a time that has passed, s."""
+        """Compute the temperatures until a time that has passed, s."""
         while self.time + HEAT_STEP <= time:
             self._step()
 

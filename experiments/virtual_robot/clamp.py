@@ -1,4 +1,4 @@
-"""A clamped arm in equilibrium: springs, gaps and the block share what the motors press in."""
+"""A clamped arm in equilibrium: springs, gaps and the block share the displacement by the motors."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def clamped_torques(
 
 
 def _with_nonlinear(drive: Drive, C: Array, ahead: Array, tau: Array) -> Array:
-    """Settle springs that harden or slip, by putting what they yield on the other side until nothing changes."""
+    """Solve for springs that harden or slip: the extra deflection is moved to the right side until nothing changes."""
     for _ in range(200):
         extra = nonlinear_yield(drive, tau) - slipping(drive.slip, drive.slip_torque, tau)
         new = press(C, drive.gap, ahead - extra, tau, 1e-10)

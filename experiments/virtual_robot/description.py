@@ -1,4 +1,4 @@
-"""What the virtual robot must be told about a robot: a duck type, so that no kinematics code is imported.
+"""The description that the virtual robot needs: a protocol, so that no kinematics code is imported.
 
 A description may also have ``linkage`` (n, n), the matrix from the controller's joint values to those of the chain
 (a parallel linkage couples them); it is the identity where there is none.

@@ -1,4 +1,4 @@
-"""Builds one individual robot from a nominal description: every number that a maker leaves uncertain is drawn."""
+"""Builds one individual robot from a nominal description: every uncertain number is drawn at random."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def _twice(e: Array, angle: Array) -> Array:
 
 
 def _disc_error(drive: Drive, q: Array) -> Array:
-    """Return by how much the encoders' discs are off, rad, (N, n): straight from mark to mark."""
+    """Return the errors of the encoders' discs, rad, (N, n): linear between marks."""
     joint, marks = np.arange(len(drive.disc)), drive.disc.shape[1]
     turns = (drive.disc_sense * q + drive.disc_turn) / (2 * np.pi) * marks
     before = np.floor(turns).astype(int)
@@ -55,14 +55,14 @@ def _disc_error(drive: Drive, q: Array) -> Array:
 
 
 def _tooth_error(drive: Drive, q: Array) -> Array:
-    """Return by how much damaged teeth turn the joints, rad, (N, n): while such a tooth is in mesh, else nothing."""
+    """Return the errors by damaged teeth, rad, (N, n): zero unless such a tooth is in mesh."""
     height, middle, width = drive.tooth.T
     away = np.abs(np.remainder(q - middle + np.pi, 2 * np.pi) - np.pi) / width  # in mesh below 1/2
     return np.asarray(np.where(away < 0.5, height * np.cos(np.pi * np.minimum(away, 0.5)) ** 2, 0.0), dtype=float)
 
 
 def nonlinear_yield(drive: Drive, tau: Array) -> Array:
-    """Return what the springs yield beyond the linear part, rad, (N, n); negative where they harden.
+    """Return the deflection of the springs beyond the linear part, rad, (N, n); negative where they harden.
 
     Springs that are soft near zero have two slopes, as makers of gears tabulate them.
     """
@@ -106,7 +106,7 @@ def flank(drive: Drive, tau: Array, direction: Array) -> Array:
 
 
 def off_by_approach(plant: Plant, q: Array, direction: Array) -> Array:
-    """Return by how much the joints stop beside what their gears give, rad, (N, n), whatever their load.
+    """Return the offsets of the joints by the approach direction, rad, (N, n), independent of the load.
 
     A clamped arm does not move, and stays on the side on which it was clamped.
     """

@@ -1,4 +1,4 @@
-"""What a motor's torque reading is made of."""
+"""The parts of a motor's torque reading."""
 
 from __future__ import annotations
 

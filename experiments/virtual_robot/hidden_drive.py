@@ -16,8 +16,8 @@ from experiments.virtual_robot.sizes import Sight
 SMALL_TURN = 1e-4  # rad, a change to measure sizes with
 
 
-# Where no weight loads a joint, friction winds its spring like a gap: all three are one column, and none counts as
-# absorbed by the others.
+# If no weight loads a joint, friction winds up its spring like a gap: the three have equal columns, and none counts
+# as absorbed by the others.
 BY_DIRECTION = ("backlash", "joint_compliance", "wrist_coupling_friction")
 
 
@@ -36,7 +36,7 @@ def hide_backlash(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Gener
 
 
 def hide_reversal(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
-    """Let a joint stop short of where it should on the side that it comes from, whatever its load."""
+    """Let a joint stop short of its target on the side that it comes from, independent of its load."""
 
     def short(p: Plant, width: float) -> Plant:
         return replace(p, drive=replace(p.drive, reversal=plus(p.drive.reversal, i, width)))

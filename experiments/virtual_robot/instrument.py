@@ -1,4 +1,4 @@
-"""What is read: points in the instrument's own frame, torques with noise that is correlated in time."""
+"""The readings: points in the instrument's own frame, torques with noise that is correlated in time."""
 
 from __future__ import annotations
 

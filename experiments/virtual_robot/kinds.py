@@ -1,7 +1,7 @@
-"""What can be hidden: each kind sets a few true numbers of the plant that are zero in a baseline robot.
+"""The kinds of hidden effects: each sets a few true numbers of the plant that are zero in a baseline robot.
 
-Default sizes make an effect clearly visible. In points, `sizes.VISIBLE` times the instrument's noise is left of it
-after a standard model has taken what it can (`sizes.Sight`); in torques it is about one to three times the noise.
+Default sizes make an effect clearly visible. In points the residual of a fit of the standard model (`sizes.Sight`) is
+`sizes.VISIBLE` times the instrument's noise. In torques the effect is about one to three times the noise.
 """
 
 from __future__ import annotations

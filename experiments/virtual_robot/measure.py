@@ -42,7 +42,7 @@ MOST_POSES = 100_000  # a robot visits as many in a year
 
 @dataclass(frozen=True)
 class Truth:
-    """The truth, which is unknown for a real robot; for tests and benchmarks.
+    """The true values, which are unknown for a real robot; for tests and benchmarks.
 
     Attributes
     ----------
@@ -246,7 +246,7 @@ def _header(robot: RobotDescription, plant: Plant, distances: bool) -> dict[str,
 
 
 def declared(plant: Plant) -> dict[str, Any]:
-    """Return what the cell declares of gravity, tool, targets and instrument, as ``campaign.toml`` has it."""
+    """Return gravity, tool, targets and instrument as the cell declares them in ``campaign.toml``."""
     return {
         "gravity_m_s2": [float(g) for g in GRAVITY],
         "tool": {"mass_kg": TOOL_MASS, "com_m": [float(c) for c in TOOL_COM]},

@@ -1,4 +1,4 @@
-"""Effects that no library is meant to know: they test that "unknown" is said where unknown is true."""
+"""Effects that no library has: they test that diagnosis reports them as unknown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The true numbers of one virtual robot. What a baseline robot lacks (an eccentric gear, a soft clamp) is zero here.
+"""The true numbers of one virtual robot. What a baseline robot lacks (an eccentric gear, a soft clamp) is zero.
 
 Angles are radians, lengths metres, torques Nm; vectors are in the base frame at the zero pose unless said otherwise.
 """
@@ -83,7 +83,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Friction:
-    """Friction and everything else that a motor's torque reading contains beside the load."""
+    """Friction and the other parts of a motor's torque reading besides the load."""
 
     coulomb: Array  # (n,) Nm at the motor
     viscous: Array  # (n,) Nm s/rad at the motor

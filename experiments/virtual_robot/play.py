@@ -63,7 +63,7 @@ def creeping_friction(motion: Array, step: float, width: Array, creep: Array, st
 
 
 def slipping(compliance: Array, limit: Array, torque: Array) -> Array:
-    """Return the angle that slipping elements keep back while the torque changes, rad, (N, n).
+    """Return the angle by which slipping elements lag behind the torque, rad, (N, n).
 
     The elements, compliance (n, k) in rad/Nm, slip at torque changes ``limit`` (n, k) in Nm; their angle has the sign
     of the torque's last change, and is what the spring's deflection lags behind.

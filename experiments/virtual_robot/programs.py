@@ -1,4 +1,4 @@
-"""The measuring programs: what the controller is asked to do, and when. They know the nominal robot only."""
+"""The measuring programs: the commanded motions and their times, for the nominal robot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The form of what puts an effect into a plant."""
+"""The type of functions that put an effect into a plant."""
 
 from __future__ import annotations
 

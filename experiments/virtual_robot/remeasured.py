@@ -1,4 +1,4 @@
-"""Another session of the same robot: the instrument stands elsewhere, the tool is mounted anew, the air is another."""
+"""Another session of the same robot: a new place of the instrument, a new mount of the tool, other temperatures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OF_SESSIONS = 5  # the branch of a robot's seed that its later sessions come fro
 
 @dataclass(frozen=True)
 class Seeds:
-    """What a session is drawn from.
+    """The random streams of a session.
 
     Attributes
     ----------
@@ -63,8 +63,8 @@ def set_up_anew(robot: RobotDescription, plant: Plant, place: np.random.SeedSequ
     Returns
     -------
     Plant
-        Other are: where the instrument stands, the targets on the flange, the air's temperature and its course, and how
-        warm the robot is at switch-on. The instrument itself (noise, scale) is the same.
+        Different are the place of the instrument, the targets on the flange, the air's temperature and its course, and
+        the robot's temperature at switch-on. The instrument itself (noise, scale) is the same.
     """
     if place is None:
         return plant

@@ -12,7 +12,7 @@ FLOOR = 0.1  # m, lowest height of a tracked point above the base
 
 
 class Site:
-    """What the one who writes the programs knows: the nominal robot."""
+    """The nominal robot, as the author of the programs knows it."""
 
     def __init__(self, robot: RobotDescription) -> None:
         self.robot = robot

@@ -1,4 +1,4 @@
-"""One individual robot that does what it is told, move by move, from switch-on: the peer of a plan's runner."""
+"""One individual robot that executes a plan move by move from switch-on, for the plan's runner."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Session:
         return logged.table.drop(columns="run")
 
     def clamp(self, posture: Array) -> None:
-        """Clamp the flange in a posture, rad, (n,); what that presses in is drawn anew."""
+        """Clamp the flange in a posture, rad, (n,); its preload is drawn anew."""
         self._posture = np.array(posture)
         self._direction = self._rng.choice([-1.0, 1.0], self.plant.n)
         self._preload = self._rng.standard_normal(self.plant.n)

@@ -1,4 +1,4 @@
-"""How large an effect must be to be seen in measured points: what is left of it after a standard model took its share.
+"""How large an effect must be to be visible in measured points: the residual of a fit of the standard model.
 
 The standard model has free geometry, joint compliance, backlash, arm-side friction and centres of mass. Its columns are
 differences of the virtual robot's own measurement, so they know nothing of the identification code.
@@ -22,11 +22,11 @@ from experiments.virtual_robot.rotations import rotation_matrix
 from experiments.virtual_robot.sampling import Site
 
 VISIBLE = 1.5  # times the instrument's noise (one axis), rms of what a standard model leaves
-LARGEST_HIDDEN = 8.0  # times the noise, rms before absorption: what is nearly absorbed is not blown up beyond this
+LARGEST_HIDDEN = 8.0  # times the noise, rms before the fit: the limit for an effect that the standard model nearly absorbs
 
 
 class Sight:
-    """Measures, always in the same hundred poses of a warming robot, what a change of the plant does to the points."""
+    """The change of the points by a change of the plant, always in the same hundred poses of a warming robot."""
 
     def __init__(self, site: Site, plant: Plant) -> None:
         rng = np.random.default_rng(1)

@@ -1,4 +1,4 @@
-"""Where a tracked point really is: the chain of true joints with everything that bends, grows or tilts in between."""
+"""The true place of a tracked point: the chain of true joints with all bending, expansion and tilts."""
 
 from __future__ import annotations
 

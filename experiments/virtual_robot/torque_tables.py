@@ -62,7 +62,7 @@ def log_runs(
     rng
         The stream of this table's noise.
     """
-    # How the last, unlogged, motion left the dry friction.
+    # The state of the dry friction after the last, unlogged, motion.
     state, gear = rng.choice([-1.0, 1.0], (2, plant.n))
     tables, truths = [], []
     for number, run in enumerate(runs, 1):

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clampid.diagnosis.headline import MOST_WORDS, equally_good, headline, named, notes, outcome
-from clampid.screen import HEIGHT, WIDTH, Errors, Next, Screen, command_lines, laid_out
+from clampid.screen import HEIGHT, WIDTH, Errors, Next, Screen, command_lines, laid_out, wrapped
 from clampid.text_table import table_lines
 from clampid.verbs.next_step import next_steps
 from clampid.verbs.output import Output
@@ -60,6 +60,21 @@ def test_a_screen_has_at_most_24_lines_of_80_columns_and_breaks_no_word(screen: 
         known |= {w for part in parts for w in part.split()}
     left = {w for line in lines for w in line.split()} - known - {"-", "…", "and", "more:", "--verbose", "→", "Next:"}
     assert not [w for w in left if not w.isdigit()]
+
+
+@pytest.mark.parametrize(
+    "value", ["9.0 h.", "−237 ± 14 µrad;", "12.3 Nm/rad", "0.5 m/s²,", "20 °C", "2.7 GB", "5 %", "1.15 σ", "7 kg·m²"]
+)
+def test_a_number_stays_on_the_line_of_its_unit(value: str) -> None:
+    for before in range(1, 80):
+        lines = wrapped(f"{'x' * before} {value} and so on")
+        assert sum(value in line for line in lines) == 1
+        assert " ".join(lines) == f"{'x' * before} {value} and so on"
+
+
+def test_a_number_leaves_the_line_of_its_unit_where_both_are_too_long_for_it() -> None:
+    assert wrapped("12.3 ± 0.4 µrad", 8) == ["12.3 ±", "0.4 µrad"]
+    assert wrapped("of 2 members, 3 mice", 11) == ["of 2", "members, 3", "mice"]
 
 
 @given(COMMAND.map(shlex.join))

@@ -54,7 +54,7 @@ def test_every_function_on_the_way_from_a_row_to_a_verdict_exists() -> None:
 
 def test_every_effect_has_words_on_its_signature() -> None:
     made = script("make_effects.py")
-    keys = {made["family_of"](effect) for effect in catalogue().values()}
+    keys = {effect.family for effect in catalogue().values()}
     assert keys == set(made["SIGNATURE"]) == {key for group in made["GROUPS"].values() for key in group}
 
 

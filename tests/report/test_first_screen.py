@@ -13,6 +13,7 @@ from clampid.models.model import Model, Round, StageModel
 from clampid.report.first_screen import FirstScreen, first_screen
 from clampid.report.page import render
 from clampid.slots import Layout, Term
+from clampid.verbs.screens import mended_screen
 
 
 def a_model(*added: str, held_out: tuple[float, ...] = (1.07e-4, 5.3e-5)) -> Model:
@@ -60,6 +61,11 @@ def test_what_another_effect_took_the_place_of_is_not_called_missing() -> None:
     )
     last = Round("poses", (), ("shared_angle_curve",), 9e-5, 9.5e-5, 4.7e-5)
     mended = replace(mended, stages={"poses": stage}, ledger=(*mended.ledger, last))
+    fitted = {"heldout_rms": 9.5e-5, "noise_floor": 4.7e-5, "unit": "m"}
+    data = {"diagnosis": found("missing", {**GEAR, "name": "joint_angle_curve"}), "stages": {"poses": fitted}}
+    assert mended_screen(data, mended, {}, "Fitted and mended.", ()).facts == (
+        ("poses:", "added bearing tilt at joint 4 and shared angle curve"),
+    )
     curve = {**GEAR, "name": "joint_angle_curve", "where": ["joint1"]}
     tilt = {**GEAR, "effect": "bearing_tilt", "name": "bearing_tilt", "where": ["joint4"]}
     screen = first_screen(mended, None, {}, found("missing", curve, tilt))
@@ -89,7 +95,7 @@ def test_the_picture_falls_from_left_to_right_within_its_frame() -> None:
     assert places == sorted(places, reverse=True)
     assert all(0 <= at <= 1 for at in (*places, fall.floor[1], *(at for _, at in fall.ticks)))
     assert fall.floor[1] < places[-1]
-    assert [step.label for step in fall.steps] == ["first model", "+ gear eccentricity, joint 2"]
+    assert [step.label for step in fall.steps] == ["start model", "+ gear eccentricity, joint 2"]
 
 
 def test_the_first_screen_needs_no_script_and_comes_before_any(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Rows that a fit has rejected are drawn and counted, at the edge where they are far off; no line counts them."""
+"""Rows that a fit has rejected, or far off along a variable, are drawn at the edge; no line counts the former."""
 
 from __future__ import annotations
 
@@ -56,3 +56,17 @@ def test_without_rejected_rows_none_are_spoken_of() -> None:
     assert not data.rejected.any()
     assert "rejected" not in figure.caption
     assert [len(mark.y) for mark in figure.plot.named("rows rejected") if isinstance(mark, Points)] == [0, 0, 0]
+
+
+def test_a_row_far_off_along_a_variable_is_drawn_at_the_edge() -> None:
+    data, _ = section(())
+    torque = data.first.rows.signals["gravity_torque"]
+    torque[:, 4] = 1e-3 * np.sin(np.arange(len(torque)))
+    torque[7, 4] = 10.0
+    found = where_section({"poses": data}, 0)
+    assert found is not None
+    selector = next(b.selector for b in found.blocks if isinstance(b, Figure) and b.selector is not None)
+    below = {name: choice["below"] for name, choice in zip(selector.names, selector.choices, strict=True)}
+    far = "gravity torque at joint 5, Nm"
+    assert below.pop(far) == f"{far}; rows beyond are drawn at the edge"
+    assert all(text == name for name, text in below.items())

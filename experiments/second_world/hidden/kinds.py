@@ -1,4 +1,4 @@
-"""What a hidden effect is: where it may sit, what it depends on, and the laws that it adds to a robot."""
+"""The kinds of hidden effects: places, variables, and the laws that they add to a robot."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -104,7 +104,7 @@ def everywhere(first: int) -> Places:
 
 
 def angle_law(joint: int, error_rad: Callable[[PoseState], Array]) -> BendLaw:
-    """Law by which one joint's angle is off by error (N,)."""
+    """Law that adds an error (N,) to one joint's angle."""
 
     def law(state: PoseState) -> Bend:
         bend = Bend.none(*state.visits.q.shape)

@@ -1,7 +1,7 @@
 """
 Effects that no library has, each with the variables that it depends on.
 
-A good diagnosis calls these unknown, says where they sit, and names the variables.
+A good diagnosis reports these as unknown, with their place and their variables.
 """
 
 import numpy as np
