@@ -22,7 +22,7 @@ from experiments.virtual_robot.rotations import rotation_matrix
 from experiments.virtual_robot.sampling import Site
 
 VISIBLE = 1.5  # times the instrument's noise (one axis), rms of what a standard model leaves
-LARGEST_HIDDEN = 8.0  # times the noise, rms before the fit: the limit for an effect that the standard model nearly absorbs
+LARGEST_HIDDEN = 8.0  # times the noise, rms before the fit: a limit for what the standard model nearly absorbs
 
 
 class Sight:
