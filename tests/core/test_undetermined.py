@@ -9,6 +9,7 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.diagnosis.candidate_scores import FEWEST_FLIPS, RATE, refuse_few_flips
+from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.entries import entry_of
 from clampid.diagnosis.headline import equally_good
 from clampid.display import compact, scale_for, with_error
@@ -60,6 +61,12 @@ def test_fewer_flips_than_the_level_needs_are_refused(flips: int):
         refuse_few_flips(flips)
     refuse_few_flips(39)
     assert 1 / (FEWEST_FLIPS + 1) <= RATE < 1 / FEWEST_FLIPS
+
+
+def test_a_diagnosis_with_too_few_flips_is_refused_before_any_work(simulated):
+    campaign = simulated(seed=3, poses=60, tables=("poses",), robot="ur10")
+    with pytest.raises(EffectError, match="expected at least 39, found 19"):
+        diagnose(identify([campaign]), campaign, flips=19)
 
 
 def test_constants_that_a_fit_holds_have_no_standard_error(simulated):
