@@ -1,4 +1,4 @@
-"""One trial of the benchmark of hidden effects: simulate, identify, diagnose; the verdict is held against the truth."""
+"""One trial of the benchmark of hidden effects: simulate, identify, diagnose, compare the verdict with the truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Friction on the arm's side of a coupled wrist: what a planned program tells of it, and what a usual one does.
+"""Arm-side friction of a coupled wrist: its standard error from a planned program and from a usual one.
 
     python benchmarks/planned_wrist.py [--seeds 40]
 

@@ -1,4 +1,4 @@
-"""Motor currents of a TX40: R² on the last fifth of the log, by what friction at rest is taken for.
+"""Motor currents of a TX40: R² on the last fifth of the log, for several laws of friction at rest.
 
 The first four fifths are fitted, the last is predicted. Rigid-body dynamics, rotors, viscous, Coulomb and slow dry
 friction are least squares with a ridge; dry friction follows the sign of motion, or a state (`presliding_friction`) of

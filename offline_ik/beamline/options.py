@@ -1,4 +1,4 @@
-"""What the options of ``clampid serve`` ask for beside the line protocol."""
+"""Options of ``clampid serve`` for Tango, EPICS and other protocols besides the line protocol."""
 
 from __future__ import annotations
 

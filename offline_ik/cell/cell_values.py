@@ -1,4 +1,4 @@
-"""What temperatures and targets of a cell can be."""
+"""Valid temperatures and targets of a cell."""
 
 from __future__ import annotations
 
