@@ -358,7 +358,7 @@ def _explained(factors: Array, covariance: Array) -> str | None:
 
 
 def _in_words(factors: Array, covariance: Array, mistake: str | None) -> str:
-    """A sentence on the factors; empty where the deflections stand in full, or cannot be told."""
+    """A sentence on the factors; empty where the deflections stand in full, or cannot be determined."""
     std = np.sqrt(np.diag(covariance))
     if mistake == "" or std[0] > KNOWN * max(1.0, abs(float(factors[0] - 1.0))):
         return ""

@@ -30,7 +30,7 @@ CHUNK = 6  # sweeps worked out at once: each has unknowns of its own
 
 
 class ClampingBench:
-    """Finds what sweeps tell about a set of parameters."""
+    """Finds the information of sweeps on a set of parameters."""
 
     def __init__(self, cell: Cell, noise: TorqueNoise, press: Press, wanted: Sequence[str]) -> None:
         self.cell, self.noise, self.press = cell, noise, press

@@ -58,7 +58,7 @@ def sides_of(given: Given, linked: bool, out: Output) -> list[Side]:
 
 
 def listens_on(option: str, text: str) -> tuple[str, int]:
-    """HOST:PORT of an option of a side; its port is one that clients can be told before.
+    """HOST:PORT of an option of a side; its port is not 0, so that clients can know it in advance.
 
     Raises
     ------
