@@ -1,4 +1,4 @@
-"""Clearances and springs from clamped sweeps of the virtual robot, over many seeds, against what they truly are.
+"""Coverage of the standard errors of clearances and springs from clamped sweeps, over many virtual robots.
 
     python benchmarks/clamped_coverage.py [--seeds 200] [--first 0] [--jobs 1]
 

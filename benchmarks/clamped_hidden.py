@@ -1,4 +1,4 @@
-"""Each effect of the clamped stage hidden in the virtual robot: is it named, mended, and are the springs back?
+"""Each effect of the clamped stage, hidden in the virtual robot: whether it is named, and the springs' errors.
 
     python benchmarks/clamped_hidden.py [--seeds 3] [--first 1] [--only fixture_compliance …]
 

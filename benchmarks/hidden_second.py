@@ -1,4 +1,4 @@
-"""The second virtual world as the benchmark of hidden effects hides in it: its cases, its robots, its programs.
+"""The second virtual world in the benchmark of hidden effects: its cases, robots and programs.
 
 Robots, noises, programs, logs and mountings follow from the seed, so that twenty seeds in a row meet all of them in
 many pairs. Sizes are what a refit of the standard model leaves, as in the first world; in torques of the motor with

@@ -1,4 +1,4 @@
-"""One trial of the benchmark of hidden effects: simulate, identify, diagnose; the verdict is held against the truth."""
+"""One trial of the benchmark of hidden effects: simulate, identify, diagnose, compare the verdict with the truth."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def judged(
     """First name right, all found, exact set.
 
     Right: `missing` with a true effect at its true place first, or `ambiguous` with it in a set of at most three whose
-    members these rows really cannot tell apart. `top1`: the first name of either is a true effect's. Names of effects
+    members these rows really cannot distinguish. `top1`: the first name of either is a true effect's. Names of effects
     that the robot has without being asked (`present`) are true, and no answer to what was hidden: they do not count.
     """
     candidates = [c for c in verdict["candidates"] if c["name"] not in present]
@@ -139,6 +139,6 @@ def best_possible(model: Model, campaign: Campaign, stage: Stage, truth: Sequenc
     terms = [f"{stage}={t['name']}" + (f"@{t['where']}" if t["where"] else "") for t in truth]
     try:
         _, addition = add(model, campaign, terms)
-    except EffectError:  # nothing can be told about it from these rows
+    except EffectError:  # nothing can be determined about it from these rows
         return None
     return addition.stages[stage].after.heldout_rms

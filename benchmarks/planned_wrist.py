@@ -1,4 +1,4 @@
-"""Friction on the arm's side of a coupled wrist: what a planned program tells of it, and what a usual one does.
+"""Arm-side friction of a coupled wrist: its standard error from a planned program and from a usual one.
 
     python benchmarks/planned_wrist.py [--seeds 40]
 
@@ -6,7 +6,7 @@
 it. Individual robots run it; they also run free air and a wrist program that is not planned, of a few swings. Friction
 of joints 5 and 6 at the motor's and at the arm's side is printed for both: what the plan expected, what the fit states,
 how far off it is, and how often the 95 % interval holds the truth. Joint 4 and its motor only turn together, so that
-its two sides cannot be told apart by any program; it is counted how often that is said.
+its two sides cannot be distinguished by any program; it is counted how often that is said.
 """
 
 from __future__ import annotations

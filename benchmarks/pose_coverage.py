@@ -1,4 +1,4 @@
-"""Are the stated errors of geometry, springs and clearances true? Seven kinds of arm, many individuals of each.
+"""Coverage of the standard errors of geometry, springs and clearances: seven kinds of arm, many robots of each.
 
     python benchmarks/pose_coverage.py [--seeds 200] [--arms kuka_kr16_2,scara] [--errors FILE.csv]
 

@@ -1,4 +1,4 @@
-"""Torques of real logs that a model has not seen: R² of the last fifth, motor by motor, beside a regression.
+"""Held-out torques of real logs: R² of the last fifth for each motor, beside a regression.
 
 The first four fifths are fitted by `identify`, or with ``--auto`` by `auto`, the last fifth is predicted. Beside it a
 regression of each motor's torque on rigid-body dynamics, rotor, dry and viscous friction and a constant, with the same

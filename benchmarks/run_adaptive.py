@@ -19,7 +19,7 @@ from run_session import clampid, faster, virtual_robot
 
 @dataclass(frozen=True)
 class Case:
-    """What is hidden in which robot, and a plan, by kind and options, with which it is not to be told apart."""
+    """What is hidden in which robot, and a plan, by kind and options, with which it is not to be distinguished."""
 
     hidden: str
     seed: int

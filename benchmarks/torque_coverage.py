@@ -1,4 +1,4 @@
-"""Are the stated errors of gravity and friction true? Free air and wrist of many virtual robots, against their truth.
+"""Coverage of the standard errors of gravity and friction: free air and wrist of many virtual robots.
 
     python benchmarks/torque_coverage.py [--seeds 200]
 

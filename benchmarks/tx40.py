@@ -1,4 +1,4 @@
-"""Motor currents of a TX40: R² on the last fifth of the log, by what friction at rest is taken for.
+"""Motor currents of a TX40: R² on the last fifth of the log, for several laws of friction at rest.
 
 The first four fifths are fitted, the last is predicted. Rigid-body dynamics, rotors, viscous, Coulomb and slow dry
 friction are least squares with a ridge; dry friction follows the sign of motion, or a state (`presliding_friction`) of
@@ -133,7 +133,7 @@ def block_errors(target: Array, left_out: Array, fitted: Bools) -> Array:
 
 
 def averaged(log: Log, name: str, results: Sequence[Result]) -> Result:
-    """The mean prediction of laws that the fitted rows cannot tell apart, each as likely as the next."""
+    """The mean prediction of laws that the fitted rows cannot distinguish, each as likely as the next."""
     scale = log.smooth[log.fitted].std(axis=0)
     left_out = np.mean([r.left_out for r in results], axis=0)
     errors = block_errors(log.smooth / scale, left_out / scale, log.fitted)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import functools
 import os
 import re
@@ -194,7 +195,7 @@ def _failed(error: Exception, debug: bool, arguments: Sequence[str]) -> int:
         if type(error).__name__ == "NoArgsIsHelpError":
             typer.echo(worded(), err=True)
             return 2
-        message = worded() + _as_list(worded(), arguments)
+        message = _with_choice(worded().replace(": Value error, ", ": ")) + _as_list(worded(), arguments)
         context = getattr(error, "ctx", None)
         verb = "clampid" if context is None else context.command_path
         return _fail(f"{message} (see {verb} --help)" if not message.endswith("?") else message, 2)
@@ -205,6 +206,13 @@ def _failed(error: Exception, debug: bool, arguments: Sequence[str]) -> int:
     if isinstance(error, BrokenPackageError):
         return _fail(str(error), 1)
     return _fail(f"{type(error).__name__}: {error} (clampid --debug … shows where)", 1)
+
+
+def _with_choice(message: str) -> str:
+    """The message, with what was probably meant where a value is none of an option's choices."""
+    found = re.search(r"'([^']*)' is not one of (.*)", message)
+    near = difflib.get_close_matches(found[1], re.findall(r"'([^']*)'", found[2]), 1) if found else []
+    return f"{message.rstrip('.')}; did you mean {near[0]}?" if near else message
 
 
 def _as_list(message: str, arguments: Sequence[str]) -> str:

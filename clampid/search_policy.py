@@ -23,7 +23,7 @@ PROBES: tuple[str, ...] = (JOINT_ANGLE_PERIODIC,)
 
 @dataclass(frozen=True)
 class Separator:
-    """What separates an effect from those of another family, where the same rows cannot tell the two apart.
+    """What separates an effect from those of another family, where the same rows cannot distinguish the two.
 
     Attributes
     ----------

@@ -9,7 +9,7 @@ from clampid.signals import Stage
 __all__ = ["ARM_SIDE", "DRAWN", "DYNAMICS", "LINK_WEIGHT", "POSES_ALONE", "POSES_DIRECTED", "STANDARD", "WRIST"]
 
 STANDARD: Mapping[Stage, tuple[str, ...]] = {
-    "free_air": ("gravity", "base_inclination", "coulomb_friction", "viscous_friction", "wrist_coupling_friction"),
+    "free_air": ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction"),
     "clamped": ("joint_compliance", "backlash", "coulomb_friction"),
     "poses": ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction"),
     "inclination": ("base_tilt",),

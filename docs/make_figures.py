@@ -35,7 +35,7 @@ def error_falling(run: Mapping[str, Any], path: Path) -> None:
             arrow = {"arrowstyle": "-|>", "color": AFTER, "linewidth": 2, "shrinkA": 6, "shrinkB": 5}
             axes.annotate("", (after, y), (before, y), arrowprops=arrow, zorder=1)
         first = y == 0  # one label in the legend is enough
-        axes.scatter([before], [y], color=BEFORE, s=70, zorder=2, label="standard model" if first else None)
+        axes.scatter([before], [y], color=BEFORE, s=70, zorder=2, label="start model" if first else None)
         axes.scatter([after], [y], color=AFTER, s=70, zorder=3, label="with what was named" if first else None)
         texts = [error_text(error, table["unit"]) for error in errors]
         words = " → ".join(dict.fromkeys(texts))

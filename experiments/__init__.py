@@ -1,1 +1,1 @@
-"""What is measured and how: campaign folders, the experiments, and the virtual robot."""
+"""Measurements: campaign folders, the experiments, and the virtual robot."""

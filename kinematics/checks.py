@@ -1,4 +1,4 @@
-"""Does a robot description make sense: every message names the thing, what was expected and what was found."""
+"""Checks of a robot description: every message names the item, what was expected and what was found."""
 
 import numpy as np
 

@@ -1,5 +1,5 @@
 r"""
-Names that somebody chose, written into files and onto screens: one function for each language they go to.
+Escapes names from outside for files and screens: one function for each language.
 
 A robot called ``"kuka\n$MAMES[1]=99"`` must not become a line of a controller's file, an escape sequence must not
 reach a terminal, and a cell of a table must not become a formula. Descriptions refuse such names as well

@@ -1,4 +1,4 @@
-"""HOST:PORT as text, refused where no host can have that name: what resolves names raises on some of it, or hangs."""
+"""HOST:PORT as text; impossible host names are refused, because resolving some of them raises other errors or hangs."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""What the links of a robot weigh: as described, or else what those of arms of that size do.
+"""Masses of a robot's links: as described, or else those of an arm of its size.
 
 Poses tell how far springs wind up, and in that mass and spring are one factor. So an arm of which nobody says what it
 weighs can still be told to yield under its weight as an arm does; its springs are then known as well as its masses.

@@ -1,5 +1,5 @@
 """
-Which ten numbers a body can have: its pseudo-inertia matrix is positive definite.
+Physically consistent bodies: the pseudo-inertia matrix of the ten parameters is positive definite.
 
 P = ∫ (r, 1)·(r, 1)ᵀ dm = [[Σ, h], [hᵀ, m]] with Σ = ½ tr(I)·1 − I holds mass m, first moment h and inertia I about one
 point. A distribution of positive mass has P ≻ 0, and to every P ≻ 0 there is one; that is more than m > 0 and I ≻ 0,

@@ -1,1 +1,1 @@
-"""What the beamline asks for: detector coordinates and the joint commands that put the detector there."""
+"""Detector positions for the beamline: detector coordinates, and the joint commands that reach them."""

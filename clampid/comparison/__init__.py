@@ -1,1 +1,1 @@
-"""A model against measurements: errors before and after, ISO 9283, and what its compensation does to commands."""
+"""A model against measurements: errors before and after, ISO 9283, and the change of commands by its compensation."""

@@ -42,6 +42,7 @@ _NONE, _NO = np.zeros((0, 0)), np.zeros(0, dtype=np.int64)
 FALSE_REJECTIONS = 1e-3  # chance that a true explanation is not accepted
 DEFLECTION_SHARE = 0.5  # of a base's shift, in the metric of its errors: so much of it must look like a deflection's
 KNOWN = 0.25  # standard error of a factor beyond which these poses cannot determine it
+ROUNDING = 1e-9  # standard error of a factor that no row depends on, such as that of a tool without mass
 OUTLIER_DEVIATIONS = 6.0  # robust standard deviations: wrong rows
 DEGREES = 180.0 / np.pi
 AMPLIFIED = 5.0  # times the deflections: what is then left of the model's own small errors shows among the noise
@@ -359,15 +360,17 @@ def _explained(factors: Array, covariance: Array) -> str | None:
 
 
 def _in_words(factors: Array, covariance: Array, mistake: str | None) -> str:
-    """A sentence on the factors; empty where the deflections stand in full, or cannot be told."""
+    """A sentence on the factors; empty where the deflections stand in full, or cannot be determined."""
     std = np.sqrt(np.diag(covariance))
     if mistake == "" or std[0] > KNOWN * max(1.0, abs(float(factors[0] - 1.0))):
         return ""
-    what = mistake or "no known mistake explains this"
+    what = mistake or "no known mistake of a compensation explains this"
     arm, tool = (with_error(float(f), float(s), "") for f, s in zip(factors, std, strict=True))
+    known = ROUNDING < std[1] <= KNOWN * max(1.0, abs(float(factors[1] - 1.0)))
+    by_tool = f" and {tool} times those by the tool's" if known else ""
     return (
-        f"Of the modelled deflections the poses show {arm} of the arm's own weight's, and {tool} of the tool's "
-        f"(1: nothing is compensated, 0: everything is): {what}."
+        f"The measured deflections are {arm} times the modelled ones by the arm's weight{by_tool} "
+        f"(1 without compensation, 0 with it): {what}."
     )
 
 

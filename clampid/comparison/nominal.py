@@ -1,4 +1,4 @@
-"""The error of a robot as it is described: what any model has to be better than."""
+"""The error of the nominal robot, which every model must improve."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a fit leaves, scored by both dictionaries, each with its null, and the best of each."""
+"""Score tests of a fit's residual by effects and by probes, each with its null distribution, and the best of each."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Residuals' means over each visit, in the order of time, are tested for correlation at ten lags, and the clearest is
 judged by ten times its p-value (Bonferroni). Where there is some, the null flips blocks of consecutive visits as long
-as it lasts, and what depends on time, or on what goes with it, cannot be told from drift. The variance at each lag is
+as it lasts, so effects that depend on time cannot be distinguished from drift. The variance at each lag is
 that of Ljung, Box, On a measure of lack of fit in time series models, Biometrika 65, 1978.
 """
 

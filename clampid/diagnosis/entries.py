@@ -41,7 +41,7 @@ def entry_of(
     kept
         The terms that paid for themselves; None: all of the candidate's.
     rivals
-        What these rows cannot tell it from.
+        What these rows cannot distinguish it from.
     scale
         Of the whitened residual that was scored.
     """

@@ -117,7 +117,7 @@ class Step:
 def step_towards(estimate: Estimate, s: Scored) -> Step | None:
     """A step towards a candidate and what it keeps of its promise; None of what is no amplitude of rows.
 
-    A gap that closes, or a time constant, is not linear: then only a search tells.
+    A gap that closes, or a time constant, is not linear: then only a search decides.
     """
     near = linear_refit(estimate, s)
     if near is None:

@@ -14,7 +14,7 @@ from experiments.plans.model import Plan
 __all__ = ["COOLING", "ENOUGH", "SAME", "STATES", "TEMPERATURES", "Gain", "NextPlan", "NextPoses"]
 
 SAME = 20.0
-"""Explained beyond another candidate, less than this does not tell the two apart: odds of e^10, 22 000 to one."""
+"""Explained beyond another candidate, less than this does not distinguish the two: odds of e^10, 22 000 to one."""
 POWER = 0.9
 ENOUGH = float((SAME**0.5 + stats.norm.isf(1 - POWER)) ** 2)
 """The noncentrality of which 90 % of measurements show more than :data:`SAME`."""
@@ -47,7 +47,7 @@ class NextPoses:
 
     @property
     def helps(self) -> bool:
-        """Whether these are expected to tell the candidates apart in 9 of 10 campaigns."""
+        """Whether these are expected to distinguish the candidates in 9 of 10 campaigns."""
         return self.after >= ENOUGH
 
     def to_json(self) -> dict[str, Any]:
@@ -131,12 +131,12 @@ class NextPlan:
     plan
         For the runner; None where nothing helps.
     before, after
-        Evidence, in units of the noise's variance, that the closest pair that can be parted is told apart by.
+        Evidence, in units of the noise's variance, that the closest pair that can be parted is distinguished by.
     shared
         The share of its signal that this pair has in common: now, and after.
     never
         Pairs that nothing tried parts, by their labels, the share that they would still have in common with all tried,
-        and the evidence that they would be told apart by.
+        and the evidence that they would be distinguished by.
     gains
         Parameter by parameter, for ``testing``.
     """

@@ -1,4 +1,4 @@
-"""The next poses to measure where these cannot tell candidates apart: which, what they bring, and as a plan to run."""
+"""The next poses to measure where these cannot distinguish candidates: which, what they bring, and as a plan to run."""
 
 from __future__ import annotations
 

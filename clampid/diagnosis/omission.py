@@ -1,8 +1,8 @@
-"""What leaving an effect out had done to the exported robot: how the Denavit-Hartenberg table shifts when it is added.
+"""The bias of the exported robot without an effect: the shift of the Denavit-Hartenberg table when the effect is added.
 
-A fit without an effect puts as much of it as it can into what is free: J⁺·D·β, with J the Jacobian of the free
-parameters, D the effect's columns and β its size. Both fits are at hand here, so that the shift is their difference and
-holds what J⁺·D·β leaves out, the change of the active effects with each other.
+A fit without an effect absorbs it in the free parameters: J⁺·D·β, with J the Jacobian of the free parameters, D the
+effect's columns and β its size. Here both fits are known, so the shift is their difference. It contains what J⁺·D·β
+leaves out, the change of the active effects with each other.
 """
 
 from __future__ import annotations

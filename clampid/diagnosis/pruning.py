@@ -45,7 +45,7 @@ def pruned(
     if len(gone) == len(cost):
         return trial, list(new)
     found, kept = trial, [t for t in new if t in cost]
-    if len(kept) < len(new):  # of some no row tells anything
+    if len(kept) < len(new):  # no row determines some of them
         found = refit([*before, *kept], trial, {})
     one_by_one = [[term] for term in gone] if len(gone) > 1 else []
     for dropped in (gone, *one_by_one):

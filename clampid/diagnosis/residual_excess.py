@@ -1,6 +1,6 @@
-"""Where nothing is confirmed though the error lies above the noise floor: by how much, what cannot be seen, and why.
+"""An error above the noise floor with nothing confirmed: its size, the effects that cannot be seen, and the reasons.
 
-Also the joints that were approached or moved from one side only, of which an error that has a side cannot be told.
+Also joints that were approached or moved from one side only: direction-dependent effects cannot be identified there.
 """
 
 from __future__ import annotations

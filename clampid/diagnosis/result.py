@@ -50,7 +50,7 @@ class StageDiagnosis:
     what the fit with them leaves. ``remains``: patterns too small to matter. ``agreeing``: rows far off that agree with
     each other, and are therefore no outliers. ``rows``: how many there are, outliers among them. ``folds``: which parts
     of runs were held out, where these were not whole. ``open``: the fit with one of each group of what these rows
-    cannot tell apart: what later stages take over, because the parameters' errors in it have room for that. ``alike``:
+    cannot distinguish: what later stages take over, because the parameters' errors in it have room for that. ``alike``:
     of groups in which it makes no difference which it is, one, as steps that may be added; ``fitted`` has them.
     ``in_order``: these and ``steps``, as they were found.
     """

@@ -33,7 +33,7 @@ class Searched:
     steps
         What was confirmed.
     taken
-        Groups of candidates that these rows cannot tell apart, of which the model has one since.
+        Groups of candidates that these rows cannot distinguish, of which the model has one since.
     undecided
         Such groups, of which it has none.
     refused
@@ -56,7 +56,7 @@ class Searched:
 def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     """Look for what a fit lacks; parts of runs to hold out instead, where whole runs would not test a candidate.
 
-    Of candidates that these rows cannot tell apart the model takes one where it makes no difference which, and the
+    Of candidates that these rows cannot distinguish the model takes one where it makes no difference which, and the
     search goes on: what it leaves would else hide other effects. Of poses it takes none: what is one model on these
     places the flange differently at others.
     """

@@ -1,4 +1,4 @@
-"""What parts look-alikes: for pairs of effects that the same rows cannot tell apart, the measurement that would.
+"""What parts look-alikes: for pairs of effects that the same rows cannot distinguish, the measurement that would.
 
 Whether more of the same would is worked out from the rows (:mod:`clampid.diagnosis.propose`). Where that is not so, it
 takes something else: what the effects' own files say of a pair, or else a sensor where only one of the two acts, or
@@ -31,7 +31,7 @@ def _separators(effects: Mapping[str, Effect]) -> dict[frozenset[str], Separator
 
 
 def separating_measurement(families: Iterable[str], effects: Mapping[str, Effect], stage: Stage) -> str:
-    """A sentence on what to measure next in a stage, so that effects of these families can be told apart."""
+    """A sentence on what to measure next in a stage, so that effects of these families can be distinguished."""
     known = _separators(effects)
     pairs = (frozenset(p) for p in combinations(sorted(set(families)), 2))
     found = [known[p].measurement for p in pairs if p in known]

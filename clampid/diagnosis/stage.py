@@ -175,7 +175,7 @@ def _in_words(
 def _undecided(
     result: StageDiagnosis, outcome: Searched, effects: dict[str, Effect], bench: Bench, propose: Propose | None
 ) -> None:
-    """Set down candidates that these rows cannot tell apart, the first group first, and what would part that."""
+    """Set down candidates that these rows cannot distinguish, the first group first, and what would part that."""
     result.verdict = "ambiguous"
     fitted, taken = outcome.fitted, {id(t.group): t for t in outcome.taken}
     groups = [*(t.group for t in outcome.taken), *outcome.undecided]

@@ -1,4 +1,4 @@
-"""What rows can tell: the state of each candidate, and the smallest parameter that would have been found."""
+"""What rows can determine: the state of each candidate, and the smallest parameter that would have been found."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ class Bench:
     def decided(
         self, scores: CandidateScores, fitted: FittedStage, held: HeldOut
     ) -> tuple[Tried | Undecided | None, list[Tried]]:
-        """The first candidate that is confirmed, or cannot be told from others, and those refused before it.
+        """The first candidate that is confirmed, or cannot be distinguished from others, and those refused before it.
 
         None instead of a candidate where none stands out, or too many that did were refused.
         """
@@ -183,7 +183,7 @@ class Bench:
                 trial, kept = fitted, list[Term]()
                 new = held_out(step.near, self.verification, self.floor, self.seed, self.block)
                 p, falls = self._confirmed(held, new, s, fitted.estimate)
-            else:  # one step is not the fit: only this tells
+            else:  # one step is not the fit: only this decides
                 _, trial, kept, new = self._fitted_along(s, step, fitted, held)
                 p, falls = self._falls(s, trial.estimate, kept, held, new)
             if falls:
@@ -317,7 +317,7 @@ class Bench:
     def beside(
         self, undecided: Undecided, fitted: FittedStage, held: HeldOut, number: int
     ) -> tuple[Tried | None, list[Undecided], list[Tried]]:
-        """What is missing whichever of some candidates, that these rows cannot tell apart, is the true one.
+        """What is missing whichever of some candidates, that these rows cannot distinguish, is the true one.
 
         The first of them is fitted along and the others are granted to the model, so that what any of them could
         explain is not evidence. To fit them all along a valley, in which one grows as another falls, takes long and

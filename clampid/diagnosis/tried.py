@@ -63,7 +63,7 @@ class Tried:
 
 @dataclass(frozen=True)
 class Undecided:
-    """Candidates that the rows cannot tell apart, the best first, and the scores that found them."""
+    """Candidates that the rows cannot distinguish, the best first, and the scores that found them."""
 
     members: list[Scored]
     scores: CandidateScores

@@ -1,1 +1,1 @@
-"""What rows say for and against an effect that is not in the model: scores, flips, likeliest times, shared curves."""
+"""Evidence for and against an effect that is not in the model: scores, flips, likeliest times, shared curves."""

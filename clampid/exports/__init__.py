@@ -1,1 +1,1 @@
-"""Tables and files for others, each read back, with what its form cannot say in numbers."""
+"""Tables and files for other programs, each read back, with the error that its form leaves."""

@@ -1,1 +1,1 @@
-"""One stage's fit: noise, descent, the flanks on which gears rest, and frictions that only those tell."""
+"""The fit of one stage: noise, least squares, the flanks on which gears rest, and friction that flanks alone show."""

@@ -1,15 +1,14 @@
-"""On which flanks unloaded joints stand, given that nobody knows how level the robot is.
+"""The flanks on which unloaded joints rest, with an unknown tilt of the robot.
 
-A joint whose axis is upright bears no weight, so that its dry friction holds it on the flank that it came from. If the
-axis leans by a milliradian, the arm's own weight presses on it with a thousandth of its moment, here on one side and
-there on the other, and where that is more than the friction it decides instead. Neither the lean nor the little
-friction of an unloaded bearing is known: poses determine them by clearances alone, and a fit that takes the direction's
-flanks for right spreads what is wrong over its other parameters.
+A joint with an upright axis bears no weight, so dry friction keeps it on the flank that it came from. If the axis is
+tilted by a milliradian, the arm's weight acts on it with a thousandth of its moment, to one side or the other. If this
+exceeds the friction, it selects the flank. Neither the tilt nor the small friction of an unloaded bearing is known. A
+fit that takes the flanks from the approach directions then has biased parameters.
 
-So leans and frictions are drawn from what installers and bearings leave open, each with the flanks that it gives and
-with clearances and all other parameters as they fit best with those, to first order. Weighed by how well they fit, they
-are a posterior: the fit goes on with the mean lean, and the second moment of the parameters over the posterior is added
-to its covariance. Flanks tell only the ratio of lean to friction, so that the lean decides on them and is no load.
+So tilts and frictions are drawn from their plausible ranges. Each gives a pattern of flanks, with which clearances and
+all other parameters are fitted to first order. Weighted by their fit, the draws are a posterior. The fit continues with
+the mean tilt, and the second moment of the parameters is added to its covariance. Flanks determine only the ratio of
+tilt to friction, so the tilt selects flanks and adds no load.
 Source: Hoeting, Madigan, Raftery, Volinsky (1999), Bayesian model averaging: a tutorial, Statistical Science 14.
 """
 
@@ -37,9 +36,9 @@ FLANK_DRAWS, SEED = 4000, 0
 
 
 def with_open_flanks(estimate: Estimate) -> Estimate:
-    """The same pose fit with the lean that its unloaded joints tell, what their flanks leave open in its covariance.
+    """The pose fit with the tilt that its unloaded joints determine, and the flanks' uncertainty in its covariance.
 
-    Unchanged where no lean turns any flank, or where the fit leaves more than noise: flanks would explain that too.
+    Unchanged if no tilt turns a flank, or if the residual exceeds the noise: flanks would absorb other errors.
     """
     rows, level = estimate.problem.rows, estimate.problem.leaning(None)
     pressing = poses.pressing(rows, level.chain, estimate.theta) if rows.kind.points else None
@@ -68,7 +67,7 @@ def with_open_flanks(estimate: Estimate) -> Estimate:
 
 
 def _more_than_noise(estimate: Estimate) -> bool:
-    """Whether more than half of the squares that a fit leaves is not the instrument's noise, as its maker states it."""
+    """Whether the squared residual is more than twice that of the instrument's stated noise."""
     rows = estimate.problem.rows
     white = (rows.in_noise_axes(estimate.residual) / rows.sigma)[rows.used]
     return float(np.mean(white**2)) > 2.0
@@ -86,8 +85,7 @@ def _unloaded(estimate: Estimate, pressing: Array) -> Mapping[int, int]:
 def _turned(estimate: Estimate, joints: Sequence[int], pressing: Array, first: Integers) -> tuple[Array, Bools]:
     """Leans ``(K, m, 3)``, rad, and which joints stand on the other flank with them ``(K, V, m)``, in each visit.
 
-    Leans are those that do the same beside the friction that the fit has: dry friction that was fitted, on top of what
-    any bearing has.
+    Tilts are scaled so that they have the same effect beside the fitted friction plus that of any bearing.
     """
     signals, rng = estimate.problem.rows.signals, np.random.default_rng(SEED)
     least = np.abs(signals["rest_direction"]).max(axis=0)[joints]
@@ -105,7 +103,7 @@ def _fitted(estimate: Estimate, gaps: Integers, visit: Integers, side: Array, sh
     """Parameters ``(K, P)`` that fit best with each pattern of flanks, and the pattern's weight ``(K,)``.
 
     Clearances enter with the flanks, so that they are taken out of the residual and fitted anew, together with all
-    other parameters but frictions that nothing tells. Only sums over visits are formed.
+    other parameters except frictions that the data do not determine. Only sums over visits are formed.
 
     Parameters
     ----------

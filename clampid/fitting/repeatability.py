@@ -26,7 +26,7 @@ from clampid.stages.rows import Array, Integers
 
 __all__ = ["Scatter", "clustered_covariance", "shared_moments", "sums_over", "visit_scatter"]
 
-MIN_VISITS = 20  # visits with more than one point or distance; of fewer no seven variances can be told
+MIN_VISITS = 20  # visits with more than one point or distance; of fewer no seven variances can be determined
 NUMBERS = 4096  # at once, for the memory they take
 ABSORBED = 1e-3  # the least share of a number's variance that a fit may have left
 
@@ -65,7 +65,7 @@ def visit_scatter(white: Whitened, by_joint: Array, visit: Integers, covariance:
     products, observed, several = np.zeros((n + 1, n + 1)), np.zeros(n + 1), 0
     for members in _batches(visit):
         one = np.ptp(white.entry[members], axis=1) == 0
-        # Of one point or distance it cannot be told whether instrument or robot is off.
+        # Of one point or distance it cannot be determined whether instrument or robot is off.
         rows = members[~one] if members.shape[1] <= 3 else members
         if not len(rows):
             continue

@@ -1,4 +1,4 @@
-"""Joints' dry friction where poses alone have to tell it: by the flanks on which joints rest after a stop.
+"""Dry friction of joints from poses alone: by the flanks on which joints rest after a stop.
 
 Friction F and load decide together, s = sign(load + F dir); and F winds up the joint's spring. A search that holds the
 flanks sees the second only, moves F by it, and then finds other flanks than it held: it ends anywhere. So such a
@@ -72,7 +72,7 @@ class RestFriction:
 def with_rest_friction(
     problem: FitProblem, priors: Sequence[Prior], start: Mapping[Slot, float], *, anew: bool = False
 ) -> RestFriction:
-    """Seek the frictions that decide on flanks and of which nothing but the poses tells.
+    """Search for the frictions that select flanks and that only the poses determine.
 
     Where ``start`` has all of the model they are held there, unless they are to be sought ``anew``. Where it lacks an
     effect that has just been added, they are sought from what it has: without that effect flanks may have explained

@@ -1,1 +1,1 @@
-"""From campaigns to models: stages one after the other or together, and what one stage tells the next."""
+"""From campaigns to models: stages one after the other or together, and the priors from one stage to the next."""

@@ -1,6 +1,6 @@
 """The demo: measure a virtual robot, identify, compare, diagnose, add, verify; then reveal the hidden effect.
 
-The campaign comes from the virtual robot, which hides one effect that the standard model lacks. It shares no code with
+The campaign comes from the virtual robot, which hides one effect that the start model lacks. It shares no code with
 the effects. What was drawn is not shown before the end, and nothing here reads it before.
 """
 
@@ -115,7 +115,7 @@ def demo(
         campaign = read_campaign(path)
     rows = ", ".join(f"{name} ({len(table)} rows)" for name, table in campaign.tables.items())
     say(f"Measured on a virtual {campaign.robot.title}, one effect hidden in it: {rows}.")
-    with step("identifying the standard model"):
+    with step("identifying the start model"):
         model = identify(campaign, seed=seed)
     save_model(model, folder / "model_standard.json")
     for stage, part in model.stages.items():

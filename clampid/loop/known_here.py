@@ -1,4 +1,4 @@
-"""Which parameters the rows of a stage tell themselves, and which were known, or assumed, before them."""
+"""The parameters that the rows of a stage determine, and those known or assumed before."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a campaign tells while it is measured: a fit of what is recorded so far, after a block, in a few lines."""
+"""Fits of a campaign while it is measured: the parameters identified so far, after each block, in a few lines."""
 
 from __future__ import annotations
 

@@ -168,7 +168,7 @@ def _verdict(first: Term, second: Term, apart: float) -> str:
 
 
 def _alike(found: StageDiagnosis) -> str:
-    """The names of what diagnosis cannot tell apart; empty where it can."""
+    """The names of what diagnosis cannot distinguish; empty where it can."""
     names = (str(c.get("name", c["effect"])) for c in found.candidates if c["alternative"])
     return " and ".join(dict.fromkeys(names))
 

@@ -1,1 +1,1 @@
-"""What a fit leaves behind: the model file, its ranges and correlations, and the arm that it describes."""
+"""Models: the model file, its ranges and correlations, and the arm that it describes."""

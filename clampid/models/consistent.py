@@ -1,6 +1,6 @@
 """Bodies that can exist behind identified base parameters: positive masses, inertias that a body can have.
 
-Torques tell base parameters only, and with noise. Of all arms of real bodies (every link's pseudo-inertia matrix
+Torques determine base parameters only, and with noise. Of all arms of real bodies (every link's pseudo-inertia matrix
 positive definite, every rotor's inertia positive) the one is found that
 
     minimises  (K x − β)ᵀ C⁻¹ (K x − β) + 2 w Σ_links [tr(P₀⁻¹ P) − log det(P₀⁻¹ P) − 4]
@@ -93,7 +93,7 @@ def consistent_arm(model: Model, robot: RobotDescription) -> ConsistentArm:
     """The arm of real bodies nearest to a model's base parameters; source: the module's docstring.
 
     Parameters of other effects that share a base parameter (a balancer, a tool other than declared) keep their fitted
-    values, and so do rotors where the model has no inertia of links to tell them from.
+    values, and so do rotors where the model has no inertia of links to distinguish them from.
 
     Raises
     ------

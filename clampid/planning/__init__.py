@@ -1,4 +1,4 @@
-"""Choosing measurements: what each candidate would tell about the asked parameters, and which to take."""
+"""Choosing measurements: the information of each candidate measurement on the wanted parameters."""
 
 from clampid.fitting.observability import observability
 from clampid.planning.choose import choose, exchange, greedy, log_det

@@ -1,6 +1,6 @@
 """D-optimal choice among candidates: those that make the determinant of the information largest.
 
-A candidate is what it tells, a factor F ``(P, r)`` with information F Fᵀ of few columns, in parameters scaled by
+A candidate is represented by its information F Fᵀ, with a factor F ``(P, r)`` of few columns, in parameters scaled by
 their reasonable size. With A the information so far, taking a candidate multiplies the determinant by
 det(I + Fᵀ A⁻¹ F), and A⁻¹ follows by the same small matrix; giving one up divides it by det(I - Fᵀ A⁻¹ F). So adding,
 and exchanging until nothing gains, never form a determinant anew.

@@ -31,7 +31,7 @@ SWEEPS_AT_ONCE = 6  # sweeps worked out at once: each has unknowns of its own
 
 
 class ClampingBench:
-    """Finds what sweeps tell about a set of parameters."""
+    """Finds the information of sweeps on a set of parameters."""
 
     def __init__(self, cell: Cell, noise: TorqueNoise, press: Press, wanted: Sequence[str]) -> None:
         self.cell, self.noise, self.press = cell, noise, press

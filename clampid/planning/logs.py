@@ -107,7 +107,7 @@ def torque_noise_of(
 
 
 class LogBench:
-    """Finds what courses tell about a set of parameters.
+    """Finds the information of courses on a set of parameters.
 
     Parameters
     ----------

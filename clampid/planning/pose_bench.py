@@ -24,7 +24,7 @@ __all__ = ["PoseBench"]
 
 
 class PoseBench:
-    """Finds what visits tell about a set of parameters.
+    """Finds the information of visits on a set of parameters.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 Among configurations that are in the region, in sight and clear, some are taken for being far apart in joint space, so
 that what nobody asked about shows, and the others for the determinant of the information (D-optimal). Every pose is
-approached by a short move whose signs are balanced, so that backlash can be told from posture.
+approached by a short move whose signs are balanced, so that backlash can be distinguished from posture.
 """
 
 from __future__ import annotations

@@ -31,10 +31,10 @@ def demo_screen(result: DemoResult) -> Screen:
     added = [named(effect, [place] if place else []) for effect, _, place in labels]
     facts = [("added", listed(added, 4) if added else "nothing: no effect was confirmed")]
     return Screen(
-        "Simulated a campaign with a hidden effect, fitted the standard model, diagnosed and mended it.",
+        "Simulated a campaign with a hidden effect, fitted a start model, diagnosed and mended it.",
         Errors(
             "Error (rms) on held-out rows; torques in σ, units of each motor's noise",
-            ("standard model", "mended", "noise floor"),
+            ("start model", "this model", "noise floor"),
             tuple(rows),
         ),
         tuple(facts),

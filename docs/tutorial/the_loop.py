@@ -17,7 +17,7 @@ folder = Path(tempfile.mkdtemp())
 # %% [markdown]
 # ## Measure
 #
-# The virtual robot hides an effect that the standard model lacks: gear eccentricity at joint 3. Only poses are
+# The virtual robot hides an effect that the start model lacks: gear eccentricity at joint 3. Only poses are
 # measured.
 
 # %%

@@ -1,1 +1,1 @@
-"""Whether a campaign can be what it says: mistakes of units, signs, order and clocks, found before any fit."""
+"""Checks of a campaign before any fit: mistakes of units, signs, order and clocks."""

@@ -1,1 +1,1 @@
-"""What measurements are judged by: error norms, ISO 9283, returns to a pose, and points from distances."""
+"""Metrics of measurements: error norms, ISO 9283, returns to a pose, and points from distances."""

@@ -1,4 +1,4 @@
-"""Pairs two raw logs, an instrument's and a robot's, whose clocks know nothing of each other."""
+"""Pairs two raw logs, an instrument's and a robot's, whose clocks are not synchronised."""
 
 from experiments.pairing.clocks import ClockFit, fit_clocks
 from experiments.pairing.geometry import rigid_residuals

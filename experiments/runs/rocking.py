@@ -37,7 +37,7 @@ LEAST_TURNS = 3  # of the block in a sweep; one or two are a shift, or one and i
 EDGE = 3  # readings in either rest
 WIDTHS = (0.01, 0.25, 0.5, 1.0)  # of the largest wind-up: over how much of the way the block tilts
 POWERS = (1,)  # of the wind-up, regressors without a tilt
-HARMONICS = 6  # of the loop, in which noise is told apart
+HARMONICS = 6  # of the loop, in which noise is distinguished
 LEAST_LEFT = 0.02  # of a template's squares; the rest is explained without a tilt
 
 Indices = npt.NDArray[np.int64]

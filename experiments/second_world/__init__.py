@@ -1,5 +1,5 @@
 """
-A second virtual world, by another hand: other robots, other noise, other programmes, other forms of every effect.
+A second virtual world, written independently: other robots, noise, programmes and laws of every effect.
 
 It exists to find out whether a diagnosis works on the first virtual robot only. It shares no code with that one, nor
 with the estimator: numpy, scipy, pandas and pinocchio are all it imports.

@@ -1,4 +1,4 @@
-"""What follows from a log without any model: speeds, states of motion, contiguous stretches, faults of its clock.
+"""Signals of a log, computed without a model: speeds, states of motion, contiguous stretches, faults of its clock.
 
 Nothing here knows of effects or of a robot.
 """

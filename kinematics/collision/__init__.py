@@ -1,1 +1,1 @@
-"""One world for plans, `ik` and the server: what stands around an arm, how thick its links are, what touches what."""
+"""One world for plans, `ik` and the server: obstacles, radii of the links, and distances between them."""

@@ -1,1 +1,1 @@
-"""The identified arm: forward map with all effects, its casadi kernels, and what lies beyond its identification."""
+"""The identified arm: forward map with all effects, its casadi kernels, and the limits of its identified range."""

@@ -1,4 +1,4 @@
-"""Which part of a command lies outside the ranges that a model was identified on: :mod:`clampid.models.ranges`.
+"""The quantities of a command outside the range on which a model was identified: :mod:`clampid.models.ranges`.
 
 Angles and the torques of the weight are a matter of each posture: one small kernel has them and says whether any is
 beyond. Temperatures and the tool's mass are the same for all postures.

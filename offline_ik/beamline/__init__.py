@@ -1,1 +1,1 @@
-"""What a beamline drives the robot with: who holds it, and the line protocol as Tango, EPICS and bluesky see it."""
+"""The beamline's side: who holds the robot, and the line protocol as Tango, EPICS and bluesky devices."""

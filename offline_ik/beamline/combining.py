@@ -1,4 +1,4 @@
-"""Several axes, one motion: what is asked of gamma, delta and radius within a moment is one move of the robot.
+"""Several axes, one motion: commands for gamma, delta and radius within a short time are one move of the robot.
 
 A scan over two angles sets one after the other. Each alone would be a motion of the whole robot: on a grid of nine
 points that makes twelve motions, through places that nobody asked for. Here the first coordinate that is set opens a

@@ -1,4 +1,4 @@
-"""Clients of the line protocol, for threads and for asyncio; the beamline's sides are made of them.
+"""Clients of the line protocol, for threads and for asyncio; Tango, EPICS and bluesky use them.
 
 Nothing that moves is sent twice. What only asks is asked again over a new connection where the old one had ended.
 A `move` is sent over a connection that has just answered; where its own answer does not come, what became of it is not

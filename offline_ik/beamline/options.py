@@ -1,4 +1,4 @@
-"""What the options of ``clampid serve`` ask for beside the line protocol."""
+"""Options of ``clampid serve`` for Tango, EPICS and other protocols besides the line protocol."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def sides_of(given: Given, linked: bool, out: Output) -> list[Side]:
 
 
 def listens_on(option: str, text: str) -> tuple[str, int]:
-    """HOST:PORT of an option of a side; its port is one that clients can be told before.
+    """HOST:PORT of an option of a side; its port is not 0, so that clients can know it in advance.
 
     Raises
     ------

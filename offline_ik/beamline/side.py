@@ -1,4 +1,4 @@
-"""What the sides of the beamline have in common: processes of their own that are clients of ``clampid serve``.
+"""The common part of the Tango and EPICS sides: separate processes that are clients of ``clampid serve``.
 
 Neither Tango nor EPICS brings a secret along. Such a side listens on the loopback, where it has the server's token at
 hand. One that a network reaches is locked: it answers, and moves nothing before somebody has given it the token.

@@ -1,1 +1,1 @@
-"""What is described around the arm: convention, mount, detector coordinates, frames, limits, and their checks."""
+"""The cell around the arm: convention, mount, detector coordinates, frames, limits, and their checks."""

@@ -1,4 +1,4 @@
-"""What temperatures and targets of a cell can be."""
+"""Valid temperatures and targets of a cell."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LEAST_DISTANCE_OFF_LINE = 5e-3  # m: by how much targets must lie off a line
 
 
 def spread(at: Section, points: Mapping[str, Array]) -> Mapping[str, Array]:
-    """Names and points ``(3,)``, m, from which a rigid motion can be told.
+    """Names and points ``(3,)``, m, from which a rigid motion can be determined.
 
     Raises
     ------

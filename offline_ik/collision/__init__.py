@@ -1,1 +1,1 @@
-"""What the arm may touch: shapes, meshes and the world of them, free postures and free paths."""
+"""Collisions of the arm: shapes, meshes and the world of them, free postures and free paths."""

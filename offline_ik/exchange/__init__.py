@@ -1,1 +1,1 @@
-"""What is said on the line: words of requests, sessions, and the links to a robot."""
+"""Messages of the line protocol: words of requests, sessions, and the links to a robot."""

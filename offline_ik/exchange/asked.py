@@ -1,4 +1,4 @@
-"""What a request of the line protocol asks for: a detector position, and the move there."""
+"""The content of a request of the line protocol: a detector position, and the move there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a client has said, and what its requests are answered with: at once, or once something has been computed."""
+"""The session of a client: its settings, and the answers to its requests, at once or after a computation."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""From where the arm stands to a detector position: approach, ways, and a move drawn up before it is made."""
+"""From the arm's posture to a detector position: approach, paths, and the simulation of a move."""

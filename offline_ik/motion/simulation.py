@@ -1,4 +1,4 @@
-"""What a move would do: where it ends, the way, its clearances, how uncertain the end is, how long it takes.
+"""The simulation of a move: its end with uncertainty, its path, clearances and duration.
 
 :func:`simulate_move` is what `move` itself decides by. A simulation that is looked at and the check before a motion are
 one computation.

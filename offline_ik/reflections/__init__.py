@@ -1,1 +1,1 @@
-"""From reflections to the sample, and from a place to what the detector sees."""
+"""The sample's position from reflections, and the angles that a detector pixel sees."""

@@ -1,4 +1,4 @@
-"""Where the sample must be, if known Bragg reflections were found at these detector positions.
+"""The sample's position from known Bragg reflections found at known detector positions.
 
 A powder ring or an oriented grain's reflection with the spacing d appears at the scattering angle 2 theta,
 sin theta = lambda / (2 d). Where the ray from the sample s through the detector's point p makes another angle with the

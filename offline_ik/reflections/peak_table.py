@@ -1,4 +1,4 @@
-"""Reads a table of reflections: where the robot stood, where on the detector each peak was, and of what it is."""
+"""Reads a table of reflections: the robot's posture, the peak's place on the detector, and its reflection."""
 
 from __future__ import annotations
 

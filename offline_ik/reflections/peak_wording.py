@@ -1,4 +1,4 @@
-"""What is said of a scattering point: whether its reflections agree, and what they do not determine."""
+"""The words on a scattering point: whether its reflections agree, and which directions they do not determine."""
 
 from __future__ import annotations
 

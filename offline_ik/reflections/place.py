@@ -1,4 +1,4 @@
-"""Where a posture puts the detector on the sphere, and how far off that may be: the other way round than locating."""
+"""The detector's position on the sphere for a given posture, with its uncertainty."""
 
 from __future__ import annotations
 

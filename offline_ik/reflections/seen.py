@@ -1,4 +1,4 @@
-"""Which gamma and delta a pixel of the detector sees, how uncertain that is, and the same as a file for pyFAI.
+"""The gamma and delta of a detector pixel, with their uncertainty, also as a file for pyFAI.
 
 A pixel (i, j), both from 0, lies in row i along the slow axis and column j along the fast one; its middle is at (i +
 1/2, j + 1/2) pixels. As in :mod:`offline_ik.cell.pyfai` the slow axis is against the detector's x, the fast one along

@@ -1,4 +1,4 @@
-"""What the line protocol says of a position: flat members for JSON."""
+"""The answer of the line protocol for a position: flat members for JSON."""
 
 from __future__ import annotations
 

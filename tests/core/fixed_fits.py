@@ -15,15 +15,13 @@ from typing import Any
 
 from clampid.diagnosis.diagnose import diagnose
 from clampid.effect import Stage
-from clampid.identification.identify import identify, standard_effects
+from clampid.identification.identify import identify
 from clampid.models.model import Model
 from experiments.campaign import Campaign, read_campaign
 from experiments.simulate import simulate
 
 KEPT = Path(__file__).parent / "fixed_fits.json"
 REAL = ("tx40_current_log", "ur10_series_c")
-SINCE = ("base_inclination",)
-"""Effects that have joined the standard sets since the numbers were kept."""
 POSES: dict[Stage, tuple[str, ...]] = {
     "poses": ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction")
 }
@@ -69,22 +67,12 @@ def as_table(model: Model) -> dict[str, dict[str, list[float]]]:
     return out
 
 
-def standard_then(campaign: Campaign) -> dict[Stage, tuple[str, ...]]:
-    """The standard sets as they were when the numbers were kept."""
-    return {
-        stage: tuple(term.effect for term in terms if term.effect not in SINCE)
-        for stage, terms in standard_effects([campaign]).items()
-    }
-
-
 def fitted(case: str, shared: Path | None = None) -> dict[str, dict[str, list[float]]]:
     """The fit of a case: simulated, or of a folder of that name in ``shared/real``."""
     if shared is not None:
-        campaign, effects = read_campaign(shared / "real" / case), None
-    else:
-        robot, seed, poses, tables, effects = FITS[case]
-        campaign = measured(robot, (), seed, poses, tables)
-    return as_table(identify(campaign, effects or standard_then(campaign)))
+        return as_table(identify(read_campaign(shared / "real" / case)))
+    robot, seed, poses, tables, effects = FITS[case]
+    return as_table(identify(measured(robot, (), seed, poses, tables), effects))
 
 
 def verdict(case: str) -> Mapping[str, list[str]]:
