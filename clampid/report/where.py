@@ -24,7 +24,7 @@ MOST_POINTS = 1200  # of torque logs, per motor
 MOST_ROWS = 3000
 LISTED = 6
 EDGE = 0.97  # of an axis
-FAR = 20.0  # times the range of the middle 98 % of the rows: beyond, single rows would hide all others
+LARGEST_RANGE = 20.0  # times the range of the middle 98 % of the rows: beyond, single rows would hide all others
 
 
 def where_section(stages: Mapping[Stage, StageData], seed: int) -> Section | None:
@@ -181,7 +181,7 @@ def _middle(x: Array) -> tuple[float, float] | tuple[None, None]:
     if not finite.size:
         return None, None
     low, high = (float(v) for v in np.quantile(finite, (0.01, 0.99)))
-    if np.ptp(finite) <= FAR * (high - low) or high <= low:
+    if np.ptp(finite) <= LARGEST_RANGE * (high - low) or high <= low:
         return None, None
     edge = 0.1 * (high - low)
     return low - edge, high + edge
