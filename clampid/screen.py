@@ -24,7 +24,7 @@ _MOST_COMMAND_LINES = 6
 _UNIT = r"(?:[nµm]?m|[mµ]?rad|deg|°|°?C|K|k?Nm?|k?g|m?s|min|h|k?Hz|[kMG]i?B|keV|ppm|[mk]?[AV]|σ|%)"
 _VALUE = re.compile(rf"[-−+]?\d[^\s]* (?:± \d[^\s]* )?{_UNIT}(?:[²³]|[/·]{_UNIT}[²³]?)*(?![\w/·])")
 """A number with its unit, which one line keeps together: ``12.3 ± 0.4 µm``, ``9.0 h``."""
-_KEPT = "\ue000"  # of private use: no text that is printed has it
+_KEPT = "\0"  # a control: no text that is printed has it
 
 Tone = Literal["", "good", "open", "bad", "title", "quiet", "command"]
 """How a line is meant; the terminal's colour follows from it."""
