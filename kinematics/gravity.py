@@ -12,7 +12,7 @@ zero pose, so that no frame of any link has to be chosen. Source: Lynch & Park, 
 (potential energy), in the first-moment form that makes it linear.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,7 @@ __all__ = [
     "gravity_stiffness",
     "gravity_torque",
     "inclination_axes",
+    "torque_by_gravity",
 ]
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s², base frame of an upright robot; the value of the campaign format
@@ -65,13 +66,52 @@ def gravity_regressor(screws: npt.ArrayLike, q: npt.ArrayLike, gravity: npt.Arra
     if g.shape != (3,):
         raise ValueError(f"gravity: expected shape (3,), found {g.shape}")
     q = np.asarray(q, dtype=np.float64)
+    return _in_blocks(lambda rows: _regressor(S, rows, g), q)
+
+
+def torque_by_gravity(screws: npt.ArrayLike, q: npt.ArrayLike, phi: npt.ArrayLike) -> Array:
+    """
+    Give the matrix D with τ_joint = D·g: torques of known weights under any gravity, without their regressor.
+
+    Parameters
+    ----------
+    screws
+        Screws (n, 6) in the base frame at the zero pose, (omega, v) [1, m].
+    q
+        Joint values of the chain (..., n) [rad, or m].
+    phi
+        (m, m·c) of every link (4n,), as `gravity_regressor` has it [kg, kg m].
+
+    Returns
+    -------
+    Array
+        Matrices (..., n, 3) [kg m]. With what joint i carries, the mass m = Σ m_k and the moment
+        a = Σ R_k·(m c)_k + m_k·t_k, row i is −(ω_i × a + m·v_i): the module's formula with g put last.
+    """
+    S, weights = np.asarray(screws, dtype=np.float64), np.asarray(phi, dtype=np.float64).reshape(-1, 4)
+    return _in_blocks(lambda rows: _by_gravity(S, rows, weights), np.asarray(q, dtype=np.float64))
+
+
+def _in_blocks(of: Callable[[Array], Array], q: Array) -> Array:
+    """Values of a function of joint values (..., n), so many rows at once that they fit the processor's cache."""
     if q.ndim < 2 or q.size <= _BLOCK * q.shape[-1]:
-        return _regressor(S, q, g)
+        return of(q)
     rows = q.reshape(-1, q.shape[-1])
-    Y = np.empty((len(rows), len(S), 4 * len(S)))
-    for start in range(0, len(rows), _BLOCK):
-        Y[start : start + _BLOCK] = _regressor(S, rows[start : start + _BLOCK], g)
-    return Y.reshape(*q.shape[:-1], len(S), 4 * len(S))
+    parts = [of(rows[start : start + _BLOCK]) for start in range(0, len(rows), _BLOCK)]
+    return np.concatenate(parts).reshape(*q.shape[:-1], *parts[0].shape[1:])
+
+
+def _by_gravity(S: Array, q: Array, weights: Array) -> Array:
+    G = joint_transforms(S, q)
+    J = _space_jacobian(S, G)
+    out = np.empty((*q.shape[:-1], len(S), 3))
+    mass, moment = 0.0, np.zeros((*q.shape[:-1], 3))
+    for i in reversed(range(len(S))):  # joint i carries the links k ≥ i only
+        motion = G[..., i + 1, :3, :]
+        mass, moment = mass + weights[i, 0], moment + motion[..., :3] @ weights[i, 1:] + weights[i, 0] * motion[..., 3]
+        for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # numpy's cross product is several times slower
+            out[..., i, a] = J[..., c, i] * moment[..., b] - J[..., b, i] * moment[..., c] - mass * J[..., 3 + a, i]
+    return out
 
 
 def _regressor(S: Array, q: Array, g: Array) -> Array:
@@ -248,4 +288,4 @@ def gravity_torque(
     if not robot.has_masses:
         raise DescriptionError(f"{robot.name}: gravity needs the masses of the links, and the description has none")
     phi = add_tool(gravity_parameters(robot.links), robot.flange, tool_mass, tool_com)
-    return np.asarray(gravity_regressor(robot.screws, q, gravity) @ phi)
+    return np.asarray(torque_by_gravity(robot.screws, q, phi) @ np.asarray(gravity, dtype=np.float64))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 
@@ -16,6 +14,7 @@ from kinematics.gravity import (
     gravity_regressor,
     gravity_stiffness,
     inclination_axes,
+    torque_by_gravity,
 )
 from kinematics.masses import links_of
 from kinematics.poe import joint_transforms
@@ -33,6 +32,7 @@ __all__ = [
     "inertial_bodies",
     "inertial_signals",
     "lean_torque",
+    "standing_loads",
     "weight_rate",
     "weight_stiffness",
 ]
@@ -60,7 +60,7 @@ def lean_torque(campaign: Campaign, q: Array) -> Array:
 
     Last index: about the base's axes, by which gravity turns as the base sees it, g + w x g.
     """
-    return _turned_torque(campaign, q, np.eye(3))
+    return _torque_by_gravity(campaign, q) @ np.cross(np.eye(3), campaign.gravity).T
 
 
 def inclination_torque(campaign: Campaign, q: Array) -> Array:
@@ -69,13 +69,14 @@ def inclination_torque(campaign: Campaign, q: Array) -> Array:
     Last index: about the two axes of :func:`kinematics.gravity.inclination_axes`. A base that is turned by w sees
     gravity turned back, g + g x w.
     """
-    return -_turned_torque(campaign, q, inclination_axes(campaign.gravity))
+    return -_torque_by_gravity(campaign, q) @ np.cross(inclination_axes(campaign.gravity), campaign.gravity).T
 
 
-def _turned_torque(campaign: Campaign, q: Array, axes: Array) -> Array:
-    """The same ``(N, n, k)`` about any unit vectors ``(k, 3)`` of the base frame."""
-    turned = [replace(campaign, gravity=np.cross(axis, campaign.gravity)) for axis in axes]
-    return np.stack([gravity_signals(c, q)["gravity_torque"] for c in turned], axis=-1)
+def _torque_by_gravity(campaign: Campaign, q: Array) -> Array:
+    """How the described weight's torques follow gravity ``(N, n, 3)``, kg m, at ``q`` ``(N, n)``, rad."""
+    linkage = np.asarray(campaign.robot.linkage)
+    found = torque_by_gravity(campaign.robot.screws, q @ linkage.T, declared_weight(campaign))
+    return np.asarray(linkage.T @ found)
 
 
 def declared_weight(campaign: Campaign) -> Array:
@@ -98,10 +99,21 @@ def weight_stiffness(robot: RobotDescription, phi: Array, gravity: npt.ArrayLike
     return np.asarray(linkage.T @ stiffness @ linkage)
 
 
+def standing_loads(campaign: Campaign, q: Array) -> dict[str, Array]:
+    """Signals of the loads of an arm that stands still at ``q`` ``(N, n)``, rad, and how they follow its posture."""
+    return {
+        **gravity_signals(campaign, q),
+        "weight_stiffness": weight_stiffness(campaign.robot, declared_weight(campaign), campaign.gravity, q),
+        "lean_torque": lean_torque(campaign, q),
+        **bearing_signals(campaign, q),
+    }
+
+
 def weight_rate(campaign: Campaign, q: Array, qd: Array) -> Array:
     """How fast the weight's torques at the motors change ``(N, n)``, Nm/s, at ``q``, ``qd`` ``(N, n)``, rad, rad/s."""
-    ahead, behind = (gravity_signals(campaign, q + s * RATE_STEP * qd)["gravity_torque"] for s in (1.0, -1.0))
-    return np.asarray((ahead - behind) / (2.0 * RATE_STEP) @ np.asarray(campaign.robot.transmission).T)
+    ahead, behind = (_torque_by_gravity(campaign, q + s * RATE_STEP * qd) for s in (1.0, -1.0))
+    rate = (ahead - behind) @ np.asarray(campaign.gravity, dtype=float) / (2.0 * RATE_STEP)
+    return np.asarray(rate @ np.asarray(campaign.robot.transmission).T)
 
 
 def gravity_regressors(robot: RobotDescription, gravity: Array, q: Array) -> dict[str, Array]:

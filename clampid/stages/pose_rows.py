@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from clampid.slots import Layout
-from clampid.stages.loads import bearing_signals, declared_weight, gravity_signals, lean_torque, weight_stiffness
+from clampid.stages.loads import standing_loads
 from clampid.stages.row_constants import PoseConstants, joined
 from clampid.stages.rows import Array, Bools, Rows
 from clampid.stages.statements import stated_base_pose, statements_of
@@ -258,11 +258,8 @@ def _one(
         "session_is": session_is,
         "anchor_way": read.anchor_way,
         "position": read.position,
-        **gravity_signals(campaign, q),
+        **standing_loads(campaign, q),
         "sag_torque": np.zeros((count, n)),
-        "weight_stiffness": weight_stiffness(campaign.robot, declared_weight(campaign), campaign.gravity, q),
-        "lean_torque": lean_torque(campaign, q),
-        **bearing_signals(campaign, q),
         **temperatures(frame, n),
     }
     return Rows(

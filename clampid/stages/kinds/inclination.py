@@ -20,7 +20,7 @@ import numpy as np
 from clampid.chain.chain import Chain
 from clampid.effect import Effect
 from clampid.slots import Layout
-from clampid.stages.loads import bearing_signals, declared_weight, gravity_signals, lean_torque, weight_stiffness
+from clampid.stages.loads import standing_loads
 from clampid.stages.pose_rows import Anchors
 from clampid.stages.poses import evaluate, frozen_flanks
 from clampid.stages.row_constants import PER_ROW, SeriesConstants
@@ -69,7 +69,7 @@ def inclination_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
     body = np.array([_body(at) for at in joined["at"].astype(str)])
     _, start, run = np.unique(np.c_[session, body], axis=0, return_index=True, return_inverse=True)
     q, time = joined[[f"q{i + 1}_rad" for i in range(n)]].to_numpy(float), joined["time_s"].to_numpy(float)
-    parts, signals = [_signals(c, q[session == s]) for s, c in own], {}
+    parts, signals = [standing_loads(c, q[session == s]) for s, c in own], {}
     for name in parts[0]:
         signals[name] = np.concatenate([part[name] for part in parts])
     none = np.zeros((count, n))
@@ -131,16 +131,6 @@ def _within(run: Integers) -> Integers:
     for r in np.unique(run):
         out[run == r] = np.arange(int(np.sum(run == r)))
     return out
-
-
-def _signals(campaign: Campaign, q: Array) -> dict[str, Array]:
-    """Loads of an arm at rest at joint angles ``(N, n)``."""
-    return {
-        **gravity_signals(campaign, q),
-        "weight_stiffness": weight_stiffness(campaign.robot, declared_weight(campaign), campaign.gravity, q),
-        "lean_torque": lean_torque(campaign, q),
-        **bearing_signals(campaign, q),
-    }
 
 
 def _rotations(robot: RobotDescription, q: Array, deviations: Array, body: Integers) -> tuple[Array, Array]:
