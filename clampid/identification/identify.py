@@ -24,7 +24,7 @@ from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import log_parts
 from clampid.stages.pose_rows import Anchors
 from clampid.stages.rows import Array, Rows
-from clampid.stages.stage_kind import kind_of, kinds, stages_with
+from clampid.stages.stage_kind import Wanted, kind_of, kinds, stages_with
 from clampid.stages.steady_share import steady_share
 from clampid.standard_sets import DYNAMICS, POSES_ALONE, POSES_DIRECTED, STANDARD
 from clampid.threads import single_threaded
@@ -83,7 +83,7 @@ def stage_rows(
     anchors: Anchors | None = None,
 ) -> Rows:
     """The rows of a stage, or of its table ``verification``, that can be used with some active effects."""
-    return kind_of(stage).rows(campaigns, layout, active, base=base, anchors=anchors, table=table)
+    return kind_of(stage).rows(campaigns, layout, Wanted(active, base, anchors, table))
 
 
 def effects_in(terms: Iterable[Term], effects: Mapping[str, Effect]) -> tuple[Effect, ...]:

@@ -10,7 +10,7 @@ import importlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from clampid.chain.stage_chain import StageChain
 from clampid.effect import STAGES, Effect, EffectError
@@ -25,10 +25,14 @@ __all__ = [
     "StageKind",
     "StageWords",
     "Trait",
+    "Wanted",
     "acts_with",
+    "derivative_of",
+    "error_of",
     "kind_of",
     "kinds",
     "known_of",
+    "moved_of",
     "only_of",
     "stage_of_table",
     "stages_with",
@@ -70,19 +74,49 @@ class StageWords:
     more: str
 
 
-class MakeRows(Protocol):
-    """Rows of a stage's tables; see :attr:`StageKind.rows`."""
+@dataclass(frozen=True)
+class Wanted:
+    """Which rows of a stage are wanted; each stage reads of it what matters to it.
 
-    def __call__(
-        self,
-        campaigns: Sequence[Campaign],
-        layout: Layout,
-        active: Collection[Effect],
-        *,
-        base: Mapping[int, Array] | None,
-        anchors: Mapping[int, Mapping[str, Array]] | None,
-        table: str,
-    ) -> Rows: ...
+    Attributes
+    ----------
+    active
+        The effects that the rows are for: they decide which rows can be used.
+    base, anchors
+        Where the instrument sees base and anchors, as of :func:`clampid.stages.pose_rows.pose_rows`.
+    table
+        The stage's table `StageKind.verification`; "": the tables that are fitted.
+    """
+
+    active: Collection[Effect] = ()
+    base: Mapping[int, Array] | None = None
+    anchors: Mapping[int, Mapping[str, Array]] | None = None
+    table: str = ""
+
+
+Residual = Callable[["Rows", "Chain", "Array", "Array"], tuple["Array", "Array"]]
+"""``(rows, chain, theta, offsets)`` to measured less predicted ``(N, m)``, SI, and the prediction's derivative
+``(N, m, P + K)`` by slots ``(P,)`` and offsets ``(K,)``."""
+
+
+def error_of(residual: Residual) -> Callable[[Rows, Chain, Array, Array], Array]:
+    """The residual without its derivative, of a stage that has no shorter way to it."""
+    return lambda rows, chain, theta, offsets: residual(rows, chain, theta, offsets)[0]
+
+
+def derivative_of(residual: Residual) -> Callable[[Rows, Chain, Array, Array, int], tuple[Array, Array]]:
+    """The residual with its derivative by the slots from one on, of a stage that has no shorter way to it."""
+
+    def derivative(rows: Rows, chain: Chain, theta: Array, offsets: Array, first: int) -> tuple[Array, Array]:
+        left, jacobian = residual(rows, chain, theta, offsets)
+        return left, jacobian[:, :, first : len(theta)]
+
+    return derivative
+
+
+def moved_of(residual: Residual) -> Callable[[Rows, Chain, Array, Array, Array], Array]:
+    """What steps do to the prediction, of a stage that has no shorter way to it."""
+    return lambda rows, chain, theta, offsets, steps: residual(rows, chain, theta, offsets)[1] @ steps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,11 +147,9 @@ class StageKind(StageChain):
     linear
         The prediction is linear in the stations' deviations, with the same derivative everywhere.
     rows
-        ``(campaigns, layout, active, base=, anchors=, table=)``: rows of the campaigns' tables, all that can be used
-        with the active effects; base and anchors as of :func:`clampid.stages.pose_rows.pose_rows`.
+        Rows of the campaigns' tables, all that can be used with the active effects; see :class:`Wanted`.
     residual
-        ``(rows, chain, theta, offsets)``: measured less predicted ``(N, m)``, SI, and the prediction's derivative
-        ``(N, m, P + K)`` by slots ``(P,)`` and offsets ``(K,)``.
+        See :data:`Residual`.
     error
         The same without the derivative.
     derivative
@@ -136,8 +168,8 @@ class StageKind(StageChain):
     tables: tuple[str, ...]
     words: StageWords
     error_unit: Literal["m", "sigma"]
-    rows: MakeRows
-    residual: Callable[[Rows, Chain, Array, Array], tuple[Array, Array]]
+    rows: Callable[[Sequence[Campaign], Layout, Wanted], Rows]
+    residual: Residual
     error: Callable[[Rows, Chain, Array, Array], Array]
     derivative: Callable[[Rows, Chain, Array, Array, int], tuple[Array, Array]]
     moved: Callable[[Rows, Chain, Array, Array, Array], Array]

@@ -281,7 +281,7 @@ def mended_screen(data: Json, model: Model, nominal: Mapping[Stage, float], done
 
 def _still_in(model: Model, stage: str) -> list[str]:
     """What was added to a stage and is in the model; not what another effect has replaced since."""
-    terms = {term.label for name, s in model.stages.items() if name == stage for term in s.terms}
+    terms = {term.label for term in model.stages[stage].terms}
     added = [label for r in model.ledger if r.stage == stage for label in r.added]
     return [label for label in added if label in terms or label.partition("@")[0] in terms]
 

@@ -2,45 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 
-from clampid.chain.chain import Chain
-from clampid.effect import Effect
 from clampid.slots import Layout
 from clampid.stages import clamped
 from clampid.stages.clamped_rows import clamped_rows
 from clampid.stages.kept_prior import with_kept_friction
-from clampid.stages.pose_rows import Anchors
-from clampid.stages.rows import Array, Rows
-from clampid.stages.stage_kind import StageKind, StageWords
+from clampid.stages.rows import Rows
+from clampid.stages.stage_kind import StageKind, StageWords, Wanted, derivative_of, error_of, moved_of
 from experiments.campaign import Campaign
 
 __all__ = ["STAGE"]
 
 
-def _rows(
-    campaigns: Sequence[Campaign],
-    layout: Layout,
-    active: Collection[Effect],
-    *,
-    base: Mapping[int, Array] | None,
-    anchors: Anchors | None,
-    table: str,
-) -> Rows:
+def _rows(campaigns: Sequence[Campaign], layout: Layout, wanted: Wanted) -> Rows:
     return clamped_rows(campaigns, layout)
-
-
-def _error(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> Array:
-    return clamped.residual(rows, chain, theta, offsets)[0]
-
-
-def _derivative(rows: Rows, chain: Chain, theta: Array, offsets: Array, first: int) -> tuple[Array, Array]:
-    residual, jacobian = clamped.residual(rows, chain, theta, offsets)
-    return residual, jacobian[:, :, first : len(theta)]
-
-
-def _moved(rows: Rows, chain: Chain, theta: Array, offsets: Array, steps: Array) -> Array:
-    return clamped.residual(rows, chain, theta, offsets)[1] @ steps
 
 
 STAGE = StageKind(
@@ -52,9 +28,9 @@ STAGE = StageKind(
     offset_size=1e-3,  # rad: of the posture at which the flange was clamped
     rows=_rows,
     residual=clamped.residual,
-    error=_error,
-    derivative=_derivative,
-    moved=_moved,
+    error=error_of(clamped.residual),
+    derivative=derivative_of(clamped.residual),
+    moved=moved_of(clamped.residual),
     prior=with_kept_friction,
     words=StageWords(
         title="Clamped (torques)",

@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 
 from clampid.chain.chain import Chain
-from clampid.effect import Effect
 from clampid.slots import Layout
 from clampid.stages import torques
-from clampid.stages.counting import explains_acceleration, explains_rest
-from clampid.stages.pose_rows import Anchors
+from clampid.stages.counting import explained
 from clampid.stages.rows import Array, Rows
-from clampid.stages.stage_kind import StageKind, StageWords
+from clampid.stages.stage_kind import StageKind, StageWords, Wanted
 from experiments.campaign import Campaign
 
 __all__ = ["STAGE"]
 
 
-def _rows(
-    campaigns: Sequence[Campaign],
-    layout: Layout,
-    active: Collection[Effect],
-    *,
-    base: Mapping[int, Array] | None,
-    anchors: Anchors | None,
-    table: str,
-) -> Rows:
-    return torques.torque_rows(campaigns, layout, explains_acceleration(active), explains_rest(active))
+def _rows(campaigns: Sequence[Campaign], layout: Layout, wanted: Wanted) -> Rows:
+    return torques.torque_rows(campaigns, layout, *explained(wanted.active))
 
 
 def _derivative(rows: Rows, chain: Chain, theta: Array, offsets: Array, first: int) -> tuple[Array, Array]:

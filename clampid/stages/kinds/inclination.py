@@ -11,21 +11,19 @@ here that turn base, joints or links.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from clampid.chain.chain import Chain
-from clampid.effect import Effect
 from clampid.slots import Layout
 from clampid.stages.loads import standing_loads
-from clampid.stages.pose_rows import Anchors
 from clampid.stages.poses import evaluate, frozen_flanks
 from clampid.stages.row_constants import PER_ROW, SeriesConstants
 from clampid.stages.rows import Array, Integers, Rows
-from clampid.stages.stage_kind import StageKind, StageWords
+from clampid.stages.stage_kind import StageKind, StageWords, Wanted, derivative_of, moved_of
 from clampid.stages.temperatures import temperatures
 from experiments.campaign import Campaign
 from experiments.temperatures import filled
@@ -199,24 +197,7 @@ def _residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[A
     return np.asarray(rows.measured - w[:, :2]), jacobian
 
 
-def _derivative(rows: Rows, chain: Chain, theta: Array, offsets: Array, first: int) -> tuple[Array, Array]:
-    residual, jacobian = _residual(rows, chain, theta, offsets)
-    return residual, jacobian[:, :, first : len(theta)]
-
-
-def _moved(rows: Rows, chain: Chain, theta: Array, offsets: Array, steps: Array) -> Array:
-    return np.asarray(_residual(rows, chain, theta, offsets)[1] @ steps)
-
-
-def _rows(
-    campaigns: Sequence[Campaign],
-    layout: Layout,
-    active: Collection[Effect],
-    *,
-    base: Mapping[int, Array] | None,
-    anchors: Anchors | None,
-    table: str,
-) -> Rows:
+def _rows(campaigns: Sequence[Campaign], layout: Layout, wanted: Wanted) -> Rows:
     return inclination_rows(campaigns, layout)
 
 
@@ -232,8 +213,8 @@ STAGE = StageKind(
     rows=_rows,
     residual=_residual,
     error=_error,
-    derivative=_derivative,
-    moved=_moved,
+    derivative=derivative_of(_residual),
+    moved=moved_of(_residual),
     frozen=frozen_flanks,
     words=StageWords(
         title="Inclination",

@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 
 from clampid.chain.chain import Chain
-from clampid.effect import Effect
 from clampid.slots import Layout
 from clampid.stages import poses
-from clampid.stages.pose_rows import Anchors, pose_rows
+from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import POSE_CHANNELS, Array, Rows
-from clampid.stages.stage_kind import StageKind, StageWords
+from clampid.stages.stage_kind import StageKind, StageWords, Wanted
 from experiments.campaign import Campaign
 
 __all__ = ["STAGE"]
 
 
-def _rows(
-    campaigns: Sequence[Campaign],
-    layout: Layout,
-    active: Collection[Effect],
-    *,
-    base: Mapping[int, Array] | None,
-    anchors: Anchors | None,
-    table: str,
-) -> Rows:
-    return pose_rows(campaigns, layout, table or STAGE.name, base, anchors)
+def _rows(campaigns: Sequence[Campaign], layout: Layout, wanted: Wanted) -> Rows:
+    return pose_rows(campaigns, layout, wanted.table or STAGE.name, wanted.base, wanted.anchors)
 
 
 def _residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Array, Array]:
