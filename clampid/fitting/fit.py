@@ -11,6 +11,7 @@ from scipy import linalg, stats
 from clampid.fitting.agreeing import Agreement, agreement
 from clampid.fitting.anisotropy import relative_axes
 from clampid.fitting.held_motors import other_crossings
+from clampid.fitting.leverage import root_of_inverse, share_left
 from clampid.fitting.noise import NORMAL, Noise, initial_noise, learn_noise
 from clampid.fitting.solve import Estimate, FitError, Shared, holding, prior_of, solve, start_of
 from clampid.fitting.unknown_friction import at_no_friction, without_unknown_friction
@@ -88,7 +89,7 @@ def fit(
         if problem.kind.points:  # a wrong row may have pulled others off that are right
             bad = outlying(whole, estimate.residual) & ~agreed
         else:
-            bad = rejected | outlying(problem.rows, estimate.residual)
+            bad = rejected | outlying(problem.rows, _studentised(estimate))
         if bad.mean() <= AGREEING_SHARE:
             agreed |= _agreeing(whole, bad, estimate.residual)
             bad &= ~agreed
@@ -217,6 +218,19 @@ def _absorbed(estimate: Estimate) -> Array | None:
     values, vectors = linalg.eigh(estimate.covariance / np.outer(size, size))
     root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     return np.asarray(jacobian @ root)
+
+
+def _studentised(estimate: Estimate) -> Array:
+    """Residuals ``(N, m)`` of a log over what the fit leaves of each one's error (:mod:`clampid.fitting.leverage`)."""
+    problem, out = estimate.problem, estimate.residual.copy()
+    if not problem.kind.moving:
+        return out
+    white = estimate.whitened
+    if estimate.noise.autocorrelations:  # leverage is that of rows, not of what is new in each
+        white = Noise(estimate.noise.sigma).whiten(problem.rows, *problem.residual(estimate.theta))
+    root = root_of_inverse(white.normal + estimate.prior_precision)
+    out[white.entry, white.channel] /= share_left(white.jacobian, root)
+    return out
 
 
 def outlying(rows: Rows, residual: Array) -> Bools:

@@ -19,6 +19,7 @@ from scipy import stats
 
 from clampid.fitting.descent import Limits, descend
 from clampid.fitting.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE
+from clampid.fitting.leverage import root_of_inverse, share_left
 from clampid.fitting.moments import LogPoint, Moments, minimise
 from clampid.fitting.noise import NORMAL
 from clampid.fitting.solve import FitError
@@ -151,7 +152,8 @@ def fit_log(design: LogDesign, folds: Bools, prior: LogPrior, start: Array, part
     rows = int(design.fold_rows[folds].sum())
     noise: LogNoise | None = None
     for _ in range(OUTLIER_PASSES):
-        bad, noise = _looked(design, folds, outliers, found.at)
+        root = root_of_inverse(found.normal + prior.precision)
+        bad, noise = _looked(design, folds, outliers, found.at, root)
         if not len(bad) or (len(bad) + len(outliers)) / rows > OUTLIER_SHARE:
             break
         outliers, noise = np.union1d(outliers, bad), None
@@ -262,6 +264,14 @@ class Residuals:
             return self._channel.groups
         return Grouping.of(self.row, self.stretch, self._channel.together)
 
+    def studentised(self, root: Array) -> Array:
+        """The own rows' values ``(k - own,)`` over what a fit of weight one leaves of their errors.
+
+        ``root``: :func:`clampid.fitting.leverage.root_of_inverse` of its normal matrix.
+        """
+        jacobian = self._channel.both[self._used][self.own :, :-1]
+        return np.asarray(self.values[self.own :] / share_left(jacobian, root[self._channel.columns]))
+
     def at(self, theta: Array, part: Integers) -> Array:
         """The same ``(k,)`` at the parameters ``(parts, P + K)`` of the part that each fold ``(F,)`` is of."""
         both, columns = self._channel.both[self._used], self._channel.columns
@@ -306,8 +316,13 @@ class _Memory:
         return LogNoise(np.where(self.pairs[:, 0] > 0, sigma, 1.0), autocorrelations, tuple(self.pairs[:, 0]))
 
 
-def _looked(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> tuple[Integers, LogNoise]:
-    """Rows far beyond what a clean table would show, as in `fitting.fit`, and the noise, for where there are none."""
+def _looked(
+    design: LogDesign, folds: Bools, outliers: Integers, theta: Array, root: Array
+) -> tuple[Integers, LogNoise]:
+    """Rows far beyond what a clean table would show, as in `fitting.fit`, and the noise, for where there are none.
+
+    ``root``: of the inverse of the normal matrix at these parameters.
+    """
     count, largest = np.zeros((2, design.n))
     memory: _Memory | None = None
 
@@ -315,7 +330,7 @@ def _looked(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -
         nonlocal memory
         first, kept = memory is None, _Memory(design.n)
         for found in residuals(design, folds, outliers, theta):
-            piece = [np.abs(r.values[r.own :]) for r in found]
+            piece = [np.abs(r.studentised(root)) for r in found]
             if first:
                 count[:] += [len(p) for p in piece]
                 np.maximum(largest, [p.max(initial=0.0) for p in piece], out=largest)
@@ -329,7 +344,7 @@ def _looked(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -
     bad = [np.zeros(0, dtype=np.int64)]
     if np.any(largest > limit):
         bad += [
-            r.row[r.own :][np.abs(r.values[r.own :]) > limit[r.motor]]
+            r.row[r.own :][np.abs(r.studentised(root)) > limit[r.motor]]
             for found in residuals(design, folds, outliers, theta)
             for r in found
         ]
