@@ -79,7 +79,8 @@ def refuse_few_flips(flips: int) -> None:
 class CandidateScores:
     """The scores of both dictionaries on what a fit leaves, with their nulls.
 
-    ``wanders``: whether the noise that they are judged by wanders (:mod:`clampid.diagnosis.wandering`).
+    ``wander``: by how much the noise that they are judged by wanders, variance per step over that of a number
+    (:mod:`clampid.diagnosis.wandering`).
     """
 
     space: Space
@@ -89,7 +90,7 @@ class CandidateScores:
     free_null: Flips
     probe: Scored | None
     folds: Integers
-    wanders: bool = False
+    wander: float = 0.0
 
     def best(self, rejected: Collection[str] = ()) -> Scored | None:
         """The best name that stands out of its null, but for the labels of those rejected; None if none does."""
@@ -147,6 +148,7 @@ def scores_of(
     seed: int,
     granted: Sequence[Candidate] = (),
     block: int = 1,
+    wander: float = 0.0,
 ) -> CandidateScores:
     """Score both dictionaries on what a fit leaves, with their nulls.
 
@@ -161,9 +163,11 @@ def scores_of(
         Candidates that are not fitted, and what they could explain is no evidence of anything else.
     block
         Of poses: how many consecutive visits the null flips together.
+    wander
+        By how much readings are known to wander at least.
     """
     found = _scores_of(estimate, effects, flips, seed, granted, block)
-    wandering = with_wander(estimate, found.clearest)
+    wandering = with_wander(estimate, found.clearest, wander)
     if wandering is None:
         return found
     # What the fit absorbs, but for rounding and for noise in its columns (a scale, of measured positions), it absorbs.
@@ -171,7 +175,7 @@ def scores_of(
     del found  # as large as its rows and all that is active
     again = _scores_of(wandering, effects, flips, seed, granted, block)
     named = [s if s.candidate.label in shown else replace(s, state="absorbed") for s in again.named]
-    return replace(again, named=named, wanders=True)
+    return replace(again, named=named, wander=max(wandering.noise.wander))
 
 
 def _scores_of(

@@ -41,7 +41,7 @@ class Confirmed:
 
     def entry(self, effects: dict[str, Effect], estimate: Estimate) -> dict[str, Any]:
         """As the contract lists it, its parameters those of the last fit."""
-        return self.tried.entry(effects, self.before.rms, estimate)
+        return self.tried.entry(effects, self.before, estimate)
 
     def step(self, entry: dict[str, Any]) -> Step:
         """For the ledger."""
@@ -88,6 +88,6 @@ def _without(bench: Bench, steps: Sequence[Confirmed], dropped: Confirmed, last:
         out.append(replace(step, tried=tried, base=base, before=held))
         base, held = fitted, tried.held
     reason = f"it does not lower the held-out error once {last.best.candidate.label} is in the model"
-    gone = dropped.tried.refusal(bench.effects, dropped.before.rms, reason)
+    gone = dropped.tried.refusal(bench.effects, dropped.before, reason)
     refused = (*dropped.refused, *steps[-1].refused, gone)
     return [*out, replace(steps[-1], tried=last, base=base, before=held, refused=refused)]

@@ -13,7 +13,7 @@ from clampid.slots import Slot, Term
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array, Rows
 
-__all__ = ["Refit", "behind", "needless", "pruned"]
+__all__ = ["Refit", "behind", "needless", "pays", "pruned"]
 
 Refit = Callable[[Sequence[Term], FittedStage, Mapping[Slot, float]], FittedStage]
 
@@ -64,11 +64,17 @@ def needless(trial: FittedStage, terms: Sequence[Term], refit: Refit) -> FittedS
     As for the places of a new effect, where Wald's statistic says that they do not pay, the fit without decides.
     """
     estimate = trial.estimate
-    cost = sum(_costs(estimate, terms).values())
-    if _wald(estimate, [k for term in terms for k in _of(estimate, term)]) >= cost:
+    if pays(estimate, terms):
         return None
+    cost = sum(_costs(estimate, terms).values())
     slim = refit([t for t in trial.model.terms if t not in terms], trial, {})
     return slim if _loss(slim.estimate, estimate) <= cost else None
+
+
+def pays(estimate: Estimate, terms: Sequence[Term]) -> bool:
+    """Whether some terms of a fit pay for their parameters, by Wald's statistic."""
+    cost = sum(_costs(estimate, terms).values())
+    return _wald(estimate, [k for term in terms for k in _of(estimate, term)]) >= cost
 
 
 def behind(fits: Sequence[tuple[Estimate, Sequence[Term]]], noise: Noise) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -40,6 +41,8 @@ class Searched:
         What was refused in the last round, as listed.
     fitted, held, scores
         The last fit, its errors on rows that it has not seen, and the scores on what it leaves.
+    wander
+        By how much readings wander, at most, where what was found is fitted along (:mod:`clampid.diagnosis.wandering`).
     """
 
     before: HeldOut
@@ -51,6 +54,14 @@ class Searched:
     fitted: FittedStage
     held: HeldOut
     scores: CandidateScores
+    wander: float
+
+    @property
+    def least_wander(self) -> float:
+        """By how much readings wandered at least where something was found; what no search exceeds if nothing was."""
+        groups = [*(t.group for t in self.taken), *self.undecided]
+        found = [*(s.tried.scores.wander for s in self.steps), *(g.scores.wander for g in groups)]
+        return min(found, default=math.inf)
 
 
 def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
@@ -71,26 +82,29 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     undecided: list[Undecided] = []
     refused: list[dict[str, Any]] = []
     dropped: set[str] = set()
+    wander = 0.0
     for number in range(1, SEARCH_ROUNDS + 1):
         tried, others = bench.decided(scores, fitted, held)  # a ranking is valid for one step
         finer = bench.folds or folds_of(rows, _on_trial(scores, others), effects)
         if finer is not None and finer is not bench.folds:
             return finer
-        refused = [t.refusal(effects, held.rms) for t in others]
+        refused = [t.refusal(effects, held) for t in others]
         if isinstance(tried, Undecided) and not rows.kind.points and tried.alike(effects, bench.elsewhere):
             taken.append(bench.taken(tried, fitted, held, len(steps)))
             fitted, held = taken[-1].fitted, taken[-1].held
         else:
             if isinstance(tried, Undecided):
-                tried, undecided, only_beside = bench.beside(tried, fitted, held, number)
-                refused += [t.refusal(effects, held.rms) for t in only_beside]
+                tried, undecided, only_beside, beside = bench.beside(tried, fitted, held, number)
+                wander = max(wander, beside)
+                refused += [t.refusal(effects, held) for t in only_beside]
             if tried is None:
                 break
             steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held, tuple(refused))], dropped)
             fitted, held = steps[-1].tried.fitted, steps[-1].tried.held
         scores = scores.remembered  # the whole is as large as its rows, and the next is about to be made
         scores = bench.scores(fitted, 2 * number)
-    return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held, scores)
+    wander = max(wander, scores.wander)
+    return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held, scores, wander)
 
 
 def _on_trial(scores: CandidateScores, refused: Sequence[Tried] = ()) -> list[Candidate]:

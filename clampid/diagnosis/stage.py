@@ -70,7 +70,7 @@ def diagnose_stage(fitted: FittedStage, bench: Bench, propose: Propose | None = 
         result.summary = " ".join([summary_of(result), *result.warnings])
     if drift is not None:
         _warn(result, drift.sentence)
-    elif result.scores is not None and result.scores.wanders:  # a drift says as much, and more
+    elif result.scores is not None and result.scores.wander:  # a drift says as much, and more
         _warn(result, WANDERS)
     return result
 
@@ -85,10 +85,15 @@ def _searched(fitted: FittedStage, bench: Bench) -> tuple[Bench, Searched]:
     """What a search finds, and the bench with the parts of the rows by which it was judged.
 
     Where a candidate comes to trial that whole runs would not test, everything is judged by parts of runs instead, from
-    the start.
+    the start. Likewise where the last fit's readings wander more than those by which something was found: what a model
+    lacks hides how much they do, and what is slow was then found too easily.
     """
     outcome = search(bench, fitted)
-    return _searched(fitted, replace(bench, folds=outcome)) if isinstance(outcome, Folds) else (bench, outcome)
+    if isinstance(outcome, Folds):
+        return _searched(fitted, replace(bench, folds=outcome))
+    if not bench.wander and outcome.wander > outcome.least_wander:
+        return _searched(fitted, replace(bench, wander=outcome.wander))
+    return bench, outcome
 
 
 def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Propose | None) -> StageDiagnosis:
@@ -99,7 +104,7 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     result.folds, first, fitted = bench.folds, fitted.estimate, outcome.fitted
     result.noise_floor = floor.norm if kind_of(stage).points else 1.0
     held, scores, probe = outcome.held, outcome.scores, outcome.first_scores.probe
-    result.before, result.after = outcome.before.rms, held.rms
+    result.before, result.after = outcome.before.rms_beside(held), held.rms_beside(outcome.before)
     result.depends_on = list(probe.candidate.depends_on) if outcome.first_scores.fires and probe is not None else []
     refused = _set_down(result, outcome.steps, outcome.refused, effects, fitted.estimate)
     if outcome.taken or outcome.undecided:
@@ -184,7 +189,9 @@ def _undecided(
         for s in group.members:
             before, after = result.after, None
             if here is not None:
-                before, after = here.before.rms, here.held.rms if s is group.members[0] else bench.alone(here.base, s)
+                before = here.before.rms_beside(here.held)
+                fitted_along = s is group.members[0]
+                after = here.held.rms_beside(here.before) if fitted_along else bench.alone(here.base, s)
             elif number == 1:  # those beside them were found in another fit
                 after = bench.alone(fitted, s)
             scores = group.scores

@@ -30,7 +30,7 @@ from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p, held_out
 from clampid.diagnosis.linear_refit import Step, linear_refit, step_towards
 from clampid.diagnosis.next_measurement import SAME
-from clampid.diagnosis.pruning import Refit, behind, pruned
+from clampid.diagnosis.pruning import Refit, behind, pays, pruned
 from clampid.diagnosis.tried import Taken, Tried, Undecided
 from clampid.effect import Effect, Stage
 from clampid.evidence.candidates import Candidate
@@ -66,6 +66,24 @@ class _Along(NamedTuple):
     held: HeldOut
 
 
+class Beside(NamedTuple):
+    """What is missing beside groups of candidates that these rows cannot distinguish.
+
+    Attributes
+    ----------
+    found, groups, refused
+        What is confirmed beside them, and no group; else none, all such groups, and what lowers the error only beside
+        them.
+    wander
+        By how much readings wander where these are fitted along (:mod:`clampid.diagnosis.wandering`).
+    """
+
+    found: Tried | None
+    groups: list[Undecided]
+    refused: list[Tried]
+    wander: float
+
+
 @dataclass(frozen=True)
 class Bench:
     """What every trial of a stage needs.
@@ -86,6 +104,8 @@ class Bench:
         Parts of runs to hold out instead of whole folds.
     elsewhere
         Other stages of which there are rows.
+    wander
+        By how much readings are known to wander at least (:mod:`clampid.diagnosis.wandering`).
     """
 
     effects: dict[str, Effect]
@@ -98,11 +118,13 @@ class Bench:
     called_for: frozenset[Term] = frozenset()
     folds: Folds | None = None
     elsewhere: frozenset[Stage] = frozenset()
+    wander: float = 0.0
 
     @substep("scoring the candidates", ROUND_SHARE)
     def scores(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> CandidateScores:
         """The scores on what a fit leaves, with its own stream of flips."""
-        found = scores_of(fitted.estimate, self.effects, self.flips, self.seed + number, granted, self.block)
+        seed = self.seed + number
+        found = scores_of(fitted.estimate, self.effects, self.flips, seed, granted, self.block, self.wander)
         return found if self.folds is None else replace(found, folds=self.folds.fold[fitted.estimate.whitened.entry])
 
     def held_out(self, fitted: FittedStage) -> HeldOut:
@@ -219,7 +241,8 @@ class Bench:
         would call missing what raises the error that everybody reads.
 
         What is told by a prior, such as a tool other than declared that the links' masses can stand for, need not lower
-        an error that the model without it reaches, too; it must not raise it.
+        an error that the model without it reaches, too. It must not raise it, and its fit must clearly be other than
+        none.
         """
         effect = self.effects[best.candidate.name]
         if effect.event is not None:
@@ -231,8 +254,10 @@ class Bench:
         p = held.p_above(new, new.noise, self.seed)
         if self.verification is not None and p > 0.5 * HELD_OUT_RATE:
             p = either_p(p, terms_p(trial, kept, self.seed))
+        if p <= HELD_OUT_RATE and held.exceed(new):
+            return p, True
         by_prior = best.assumed > MOSTLY and new.p_above(held, new.noise, self.seed) > HELD_OUT_RATE
-        return p, (p <= HELD_OUT_RATE and held.exceed(new)) or by_prior
+        return p, by_prior and bool(kept) and pays(trial, kept)
 
     def _judged(
         self, fits: Sequence[_Along], scores: CandidateScores, held: HeldOut, refused: Collection[str]
@@ -314,9 +339,7 @@ class Bench:
         trial, kept = pruned(trial, s.candidate.terms, fitted.model.terms, self.refit)
         return _Along(s, trial, kept, self.held_out(trial))
 
-    def beside(
-        self, undecided: Undecided, fitted: FittedStage, held: HeldOut, number: int
-    ) -> tuple[Tried | None, list[Undecided], list[Tried]]:
+    def beside(self, undecided: Undecided, fitted: FittedStage, held: HeldOut, number: int) -> Beside:
         """What is missing whichever of some candidates, that these rows cannot distinguish, is the true one.
 
         The first of them is fitted along and the others are granted to the model, so that what any of them could
@@ -327,24 +350,19 @@ class Bench:
         ----------
         held
             Errors of the fit without any of them.
-
-        Returns
-        -------
-        found, groups, refused
-            What is confirmed beside them, and no group; else none, these and further candidates that cannot be told
-            apart, and what lowers the error only beside them.
         """
-        groups, whole = [undecided], fitted
+        groups, whole, wander = [undecided], fitted, 0.0
         while len(groups) < GROUPS:
             whole, scores = self._along(groups, fitted, whole, number)
+            wander = max(wander, scores.wander)
             found, _ = self.decided(scores, whole, self.held_out(whole))
             if isinstance(found, Tried):
                 alone = self._fitted_with(found, fitted, held)
-                return (None, [undecided], [alone]) if alone.reason else (alone, [], [])
+                return Beside(None, [undecided], [alone], wander) if alone.reason else Beside(alone, [], [], wander)
             if found is None:
                 break
             groups.append(found)
-        return None, groups, []
+        return Beside(None, groups, [], wander)
 
     def _along(
         self, groups: Sequence[Undecided], fitted: FittedStage, last: FittedStage, number: int

@@ -39,7 +39,7 @@ MOST_PARAMETERS = 300
 LARGEST_SHARE_OF_COLUMNS = 0.2  # of the numbers of a channel, that may be columns beside which it wanders
 
 
-def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None:
+def with_wander(estimate: Estimate, beside: Sequence[Scored], least: float = 0.0) -> Estimate | None:
     """The same estimate with noise that wanders, or None where none is seen to.
 
     The coordinates of a point wander alike, and so do the readings of a log's motors, each in units of its noise.
@@ -48,6 +48,8 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None
     ----------
     beside
         What stands out of the residual and may say it all, the clearest first.
+    least
+        By how much readings are known to wander at least: variance per step over that of a number.
     """
     rows, white = estimate.problem.rows, estimate.whitened
     if rows.kind.solved or not len(white.residual):
@@ -55,17 +57,29 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None
     wanted = POSE_CHANNELS[0] if rows.kind.points else range(rows.measured.shape[1])
     channels = {int(white.channel[start]): slice(start, stop) for start, stop in channel_starts(white)}
     mine = {c: channels[c] for c in wanted if c in channels}
+    variance = max(_seen(estimate, mine, beside), least)
+    if not mine or not variance:
+        return None
+    each = (variance if c in mine else 0.0 for c in range(rows.measured.shape[1]))
+    noise = replace(estimate.noise, wander=tuple(each))
+    residual, jacobian = estimate.problem.residual(estimate.theta)
+    return replace(estimate, noise=noise, whitened=noise.whiten(rows, residual, jacobian))
+
+
+def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Scored]) -> float:
+    """By how much some channels, entries of each given, are seen to wander beside what stands out; 0 if not."""
+    rows, white = estimate.problem.rows, estimate.whitened
     courses = [course_of(rows, white.entry[own]) for own in mine.values()]
     residuals = [white.residual[own] for own in mine.values()]
     none = [np.ones((len(r), 1)) for r in residuals]
     if not mine or not wander_of(courses, residuals, none).variance:
-        return None  # not even by itself, which takes a hundredth of the time
+        return 0.0  # not even by itself, which takes a hundredth of the time
     active = none
     if len(estimate.theta) <= MOST_PARAMETERS:
         active = [white.jacobian[own] for own in mine.values()]
     found = wander_of(courses, residuals, active)
     if not found.variance:
-        return None
+        return 0.0
     room, count = int(LARGEST_SHARE_OF_COLUMNS * max(map(len, residuals))), len(white.residual)
     extra = [np.zeros((count, 0))]
     for s in beside:
@@ -74,16 +88,11 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None
             room -= s.candidate.columns.width
     evidence = found.gain - float(np.log(sum(map(len, residuals))))
     if evidence < _evidence(white, active, mine, _smooth(rows, white, mine)):
-        return None
+        return 0.0
     if evidence < max((s.bic for s in beside), default=0.0):
         columns = [np.hstack([a, *(e[own] for e in extra)]) for a, own in zip(active, mine.values(), strict=True)]
         found = wander_of(courses, residuals, columns)
-    if not found.variance:
-        return None
-    each = (found.variance if c in mine else 0.0 for c in range(rows.measured.shape[1]))
-    noise = replace(estimate.noise, wander=tuple(each))
-    residual, jacobian = estimate.problem.residual(estimate.theta)
-    return replace(estimate, noise=noise, whitened=noise.whiten(rows, residual, jacobian))
+    return found.variance
 
 
 def _smooth(rows: Rows, white: Whitened, mine: Mapping[int, slice]) -> Array:

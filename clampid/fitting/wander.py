@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import interpolate, linalg, stats
 
 from clampid.stages.presliding import recurrence
 from clampid.stages.rows import Array, Integers, Rows
@@ -26,6 +26,8 @@ from clampid.stages.rows import Array, Integers, Rows
 __all__ = ["WANDER_FALSE_ALARMS", "Course", "Wander", "course_of", "in_time", "wander_of"]
 
 WANDER_FALSE_ALARMS = 0.01  # chance that a reading that does not wander is said to
+UPPER_LIMIT_CHANCE = 0.05  # that a level wanders more than it is taken to; 9 % of logs of some hundred rows
+FINE_STEPS = 1000  # of the likelihood's curve
 STEP_VARIANCES = (0.0, *(float(10.0**k) for k in np.arange(-7.0, 0.6, 0.5)))
 INDEPENDENT = 1e-8  # of a column's length, beyond the others
 
@@ -97,7 +99,11 @@ def in_time(rows: Rows, index: Integers) -> tuple[Integers, Integers]:
 
 
 class Wander(NamedTuple):
-    """By how much a level wanders, variance per step over that of a number; and twice the log likelihood it gains."""
+    """By how much a level wanders at most, variance per step over that of a number; twice the log likelihood it gains.
+
+    At most: the upper limit of a one-sided confidence interval. A log has few independent stretches of a slow level, so
+    that its likeliest variance may be much too small, and what is slow would then stand out of it by chance.
+    """
 
     variance: float
     gain: float
@@ -140,9 +146,21 @@ def wander_of(courses: Sequence[Course], residuals: Sequence[Array], columns: Se
     values = [unlikely(wander) for wander in STEP_VARIANCES]
     best = int(np.argmin(values))
     gain = values[0] - values[best]
-    return (
-        Wander(STEP_VARIANCES[best], gain) if gain > stats.chi2.isf(2.0 * WANDER_FALSE_ALARMS, 1) else Wander(0.0, 0.0)
-    )
+    if not gain > stats.chi2.isf(2.0 * WANDER_FALSE_ALARMS, 1):
+        return Wander(0.0, 0.0)
+    return Wander(_upper_limit(values[1:]), gain)
+
+
+def _upper_limit(unlikely: Sequence[float]) -> float:
+    """The largest variance that the likelihood ratio does not refuse at :data:`UPPER_LIMIT_CHANCE`, one-sided.
+
+    ``unlikely``: -2 log of the likelihood at each of :data:`STEP_VARIANCES` but the first, between which it is smooth.
+    """
+    at = np.log10(STEP_VARIANCES[1:])
+    fine = np.linspace(at[0], at[-1], FINE_STEPS)
+    value = interpolate.CubicSpline(at, unlikely)(fine)
+    allowed = value <= value.min() + stats.chi2.isf(2.0 * UPPER_LIMIT_CHANCE, 1)
+    return float(10.0 ** fine[allowed].max())
 
 
 def _basis(columns: Array) -> Array:

@@ -64,6 +64,14 @@ def test_a_walk_is_found_beside_columns_and_its_size_too() -> None:
     assert 3e-3 < np.median(found) < 3e-2
 
 
+def test_a_level_wanders_less_than_it_is_taken_to_in_nine_of_ten_logs() -> None:
+    """The likelihood ratio promises nineteen of twenty, for logs that are much longer."""
+    rng, columns, true = np.random.default_rng(8), np.random.default_rng(9).standard_normal((N, 10)), 1e-2
+    found = np.array([wander_of([course()], [walk(rng, true)], [columns]).variance for _ in range(200)])
+    assert np.sum(found >= true) >= 168  # of a binomial of 200 and 0.9, less has a chance of 0.5 %
+    assert np.median(found) < 6.0 * true
+
+
 def test_what_a_column_says_does_not_wander() -> None:
     rng = np.random.default_rng(7)
     trend = np.linspace(0.0, 1.0, N)[:, None]
@@ -102,6 +110,17 @@ def test_a_log_whose_readings_wander_as_one_over_f_lacks_nothing(tmp_path: Path)
     assert found.verdict == "adequate"
     assert WANDERS in found.warnings
     assert WANDERS in found.summary
+
+
+@pytest.mark.slow
+def test_an_offset_that_a_walk_explains_once_it_is_fitted_along_is_not_missing(tmp_path: Path) -> None:
+    """Beside offsets of all motors the readings first seem to wander a tenth as much as when these are in the model."""
+    robot = draw_robot("small6", 2238, mounting="floor")
+    measure(robot, tmp_path / "arm", noise="walk", log="trapezoids_250hz", tables=("free_air",), seed=2238)
+    campaign = read_campaign(tmp_path / "arm")
+    found = diagnose(identify(campaign), campaign).stages["free_air"]
+    assert found.verdict == "adequate"
+    assert WANDERS in found.warnings
 
 
 @pytest.mark.slow
