@@ -18,6 +18,7 @@ from clampid.identification.identify import identify
 from clampid.stages.loads import gravity_signals, inclination_torque
 from clampid.standard_sets import STANDARD
 from experiments.campaign import Campaign, read_campaign
+from experiments.second_world import draw_robot, measure
 from experiments.simulate import simulate
 from kinematics.gravity import inclination_axes
 
@@ -82,3 +83,17 @@ def test_a_log_tells_how_far_gravity_is_from_what_the_campaign_says(tmp_path: Pa
     found = diagnose(identify(campaign), campaign).stages["free_air"]
     assert found.verdict == "missing"
     assert found.candidates[0]["name"] == EFFECT.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("robot", "seed"), [("uncoupled6", 2230), ("uncoupled6", 2235)])
+def test_the_lean_of_an_arm_as_built_is_what_is_named(robot: str, seed: int, tmp_path: Path) -> None:
+    """The second world hides nothing here; but the first axes of its arms lean, and further axes, less, too."""
+    arm = draw_robot(robot, seed, mounting="floor")
+    measure(arm, tmp_path / "arm", log="fourier_100hz", noise="student", tables=("free_air",), seed=seed)
+    campaign = read_campaign(tmp_path / "arm")
+    found = diagnose(identify(campaign), campaign).stages["free_air"]
+    assert [c["name"] for c in found.candidates] == ["base_inclination"]
+    lean = arm.arm.joints[0].rpy_rad[:2] - arm.nominal.joints[0].rpy_rad[:2]
+    values = [p["value"] for p in found.candidates[0]["parameters"]]
+    np.testing.assert_allclose(values, lean, atol=1.5e-4)
