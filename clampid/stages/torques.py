@@ -22,6 +22,7 @@ from clampid.stages.loads import (
 )
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, Motion, facts_of, joint_columns, log_parts
 from clampid.stages.presliding import friction_states
+from clampid.stages.repeats import with_repeats
 from clampid.stages.row_constants import LogConstants
 from clampid.stages.rows import Array, Integers, Rows
 from clampid.stages.temperatures import temperatures
@@ -136,7 +137,7 @@ def torque_rows(
         measured=measured,
         sigma=np.ones_like(measured),
         used=used,
-        unit=unit.astype(np.int64),
+        unit=with_repeats(unit.astype(np.int64), run, time, motion.position),
         fold=folds_of(facts, run, np.arange(len(run))),
         table=np.repeat([part.name for part in parts], lengths),
         row=np.concatenate([np.arange(1, k + 1) for k in lengths]),
