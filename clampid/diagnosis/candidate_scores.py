@@ -13,7 +13,7 @@ from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.folds import stability_folds
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.probes import probes
-from clampid.diagnosis.wandering import with_wander
+from clampid.diagnosis.wandering import whitened_by, with_wander
 from clampid.effect import Effect, EffectError
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.events import event_scores
@@ -170,6 +170,12 @@ def scores_of(
     wandering = with_wander(estimate, found.clearest, wander)
     if wandering is None:
         return found
+    if estimate.noise.autocorrelations:  # learned from what wanders, too
+        short = whitened_by(estimate, estimate.noise.of_short_memory)
+        clearest = _scores_of(short, effects, flips, seed, granted, block).clearest
+        wandering = with_wander(short, clearest, wander)
+        if wandering is None:
+            return found
     # What the fit absorbs, but for rounding and for noise in its columns (a scale, of measured positions), it absorbs.
     shown = {s.candidate.label for s in found.named if s.freedom}
     del found  # as large as its rows and all that is active

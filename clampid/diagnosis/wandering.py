@@ -21,12 +21,12 @@ import numpy as np
 
 from clampid.evidence.columns import channel_starts
 from clampid.evidence.score import Scored
-from clampid.fitting.noise import Whitened
+from clampid.fitting.noise import Noise, Whitened
 from clampid.fitting.solve import Estimate
 from clampid.fitting.wander import course_of, wander_of
 from clampid.stages.rows import POSE_CHANNELS, Array, Rows
 
-__all__ = ["WANDERS", "with_wander"]
+__all__ = ["WANDERS", "whitened_by", "with_wander"]
 
 WANDERS = (
     "The readings wander: their level drifts and does not return (chance below 1 %), so slow changes count less as "
@@ -61,9 +61,13 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored], least: float = 0.0
     if not mine or not variance:
         return None
     each = (variance if c in mine else 0.0 for c in range(rows.measured.shape[1]))
-    noise = replace(estimate.noise, wander=tuple(each))
+    return whitened_by(estimate, replace(estimate.noise, wander=tuple(each)))
+
+
+def whitened_by(estimate: Estimate, noise: Noise) -> Estimate:
+    """The same estimate, its residual and Jacobian whitened by another noise."""
     residual, jacobian = estimate.problem.residual(estimate.theta)
-    return replace(estimate, noise=noise, whitened=noise.whiten(rows, residual, jacobian))
+    return replace(estimate, noise=noise, whitened=noise.whiten(estimate.problem.rows, residual, jacobian))
 
 
 def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Scored]) -> float:

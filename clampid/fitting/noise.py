@@ -6,7 +6,7 @@ and are correlated, so that residual and columns alike pass the filter of `clamp
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Protocol
 
@@ -15,12 +15,22 @@ import numpy.typing as npt
 
 from clampid.fitting.anisotropy import relative_axes
 from clampid.fitting.wander import course_of
-from clampid.stages.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
+from clampid.stages.prewhitening import (
+    ENOUGH_PAIRS,
+    ORDER,
+    Grouping,
+    Predictors,
+    Whitener,
+    autocorrelation,
+    lag_products,
+    settled,
+)
 from clampid.stages.row_constants import LogConstants
 from clampid.stages.rows import Array, Integers, Rows
 
 __all__ = ["Late", "Noise", "Whitened", "groups_of", "initial_noise", "learn_noise"]
 
+LONG_MEMORY = ORDER // 2 + 1  # lags from which on an autocorrelation is a level's
 NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
 
 
@@ -102,6 +112,21 @@ class Noise:
     together: int = 1
     counts: tuple[float, ...] = ()
     wander: tuple[float, ...] = ()
+
+    @property
+    def of_short_memory(self) -> Noise:
+        """A log's noise without the plateau of its autocorrelation: that is a level's, which is to be taken apart.
+
+        An autoregression takes a level that wanders for noise that is forgotten at each stop of the motor, and counts
+        it as new in each move. What lags beyond :data:`LONG_MEMORY` have in common is the level's.
+        """
+        sigma, found = self.sigma.copy(), []
+        for channel, before in enumerate(self.autocorrelations):
+            plateau = max(float(np.mean(before[LONG_MEMORY : ORDER + 1])), 0.0)
+            rest = (before[: ORDER + 1] - plateau) / (1.0 - plateau)
+            found.append(autocorrelation(rest, np.full(ORDER + 1, ENOUGH_PAIRS)))
+            sigma[:, channel] *= np.sqrt(1.0 - plateau)
+        return replace(self, sigma=sigma, autocorrelations=tuple(found))
 
     def settled(self, again: Noise) -> bool:
         """Whether a log's noise learned ``again`` from a fit that was weighted by this one is still the same."""

@@ -239,7 +239,7 @@ def test_look_alikes_of_which_none_lowers_the_error_of_other_rows_are_no_tie(sim
     refused = bench._undecided(false[0], false[1:], scores, fitted, held)
     assert isinstance(refused, Tried)
     assert refused.reason
-    entry = refused.refusal(dict(opened.effects), held.rms)
+    entry = refused.refusal(dict(opened.effects), held)
     assert entry["parameters"]
     tie = bench._undecided(false[0], [joints["joint2",]], scores, fitted, held)
     assert isinstance(tie, Undecided)

@@ -112,6 +112,25 @@ def test_a_log_whose_readings_wander_as_one_over_f_lacks_nothing(tmp_path: Path)
     assert WANDERS in found.summary
 
 
+def test_a_level_is_taken_out_of_what_an_autoregression_learned() -> None:
+    short = 0.5 ** np.arange(65.0)
+    with_level = 0.7 * short + 0.3
+    found = Noise(np.full((5, 1), 2.0), (with_level,)).of_short_memory
+    np.testing.assert_allclose(found.autocorrelations[0], short, atol=0.01)
+    np.testing.assert_allclose(found.sigma, 2.0 * np.sqrt(0.7), rtol=0.005)
+
+
+@pytest.mark.slow
+def test_a_walk_seen_move_by_move_is_no_offset(tmp_path: Path) -> None:
+    """The autoregression took the level for new at each move; an offset's score was 2.3 times what chance gives."""
+    robot = draw_robot("seven7", 2326, mounting="floor")
+    measure(robot, tmp_path / "arm", noise="walk", log="trapezoids_250hz", tables=("free_air",), seed=2326)
+    campaign = read_campaign(tmp_path / "arm")
+    found = diagnose(identify(campaign), campaign).stages["free_air"]
+    assert found.verdict == "adequate"
+    assert WANDERS in found.warnings
+
+
 @pytest.mark.slow
 def test_an_offset_that_a_walk_explains_once_it_is_fitted_along_is_not_missing(tmp_path: Path) -> None:
     """Beside offsets of all motors the readings first seem to wander a tenth as much as when these are in the model."""
