@@ -31,7 +31,7 @@ from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p, held_ou
 from clampid.diagnosis.linear_refit import Step, linear_refit, step_towards
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, behind, pays, pruned
-from clampid.diagnosis.tried import Taken, Tried, Undecided
+from clampid.diagnosis.tried import Beside, Taken, Tried, Undecided
 from clampid.effect import Effect, Stage
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored, canonical
@@ -64,24 +64,6 @@ class _Along(NamedTuple):
     fitted: FittedStage
     kept: list[Term]
     held: HeldOut
-
-
-class Beside(NamedTuple):
-    """What is missing beside groups of candidates that these rows cannot distinguish.
-
-    Attributes
-    ----------
-    found, groups, refused
-        What is confirmed beside them, and no group; else none, all such groups, and what lowers the error only beside
-        them.
-    wander
-        By how much readings wander where these are fitted along (:mod:`clampid.diagnosis.wandering`).
-    """
-
-    found: Tried | None
-    groups: list[Undecided]
-    refused: list[Tried]
-    wander: float
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
 from clampid.stages.stage_kind import acts_with, stages_with
 
-__all__ = ["Taken", "Tried", "Undecided"]
+__all__ = ["Beside", "Taken", "Tried", "Undecided"]
 
 ONE = 1.0  # what chance explains by one number, in units of the residual's variance
 
@@ -96,3 +96,21 @@ class Taken(NamedTuple):
     fitted: FittedStage
     held: HeldOut
     after: int
+
+
+class Beside(NamedTuple):
+    """What is missing beside groups of candidates that these rows cannot distinguish.
+
+    Attributes
+    ----------
+    found, groups, refused
+        What is confirmed beside them, and no group; else none, all such groups, and what lowers the error only beside
+        them.
+    wander
+        By how much readings wander where these are fitted along (:mod:`clampid.diagnosis.wandering`).
+    """
+
+    found: Tried | None
+    groups: list[Undecided]
+    refused: list[Tried]
+    wander: float
