@@ -64,11 +64,11 @@ def with_needed_only(bench: Bench, steps: Sequence[Confirmed], again: set[str]) 
         slim = needless(last.tried.fitted, earlier.tried.kept, bench.refit)
         if slim is None:
             continue
-        without, now = bench.held_out(slim), last.tried.held
+        without, now = bench.held_out(slim), last.tried.held_out
         if without.p_above(now, now.noise, bench.seed) <= HELD_OUT_RATE:
             continue
         again.add(earlier.label)
-        kept = _without(bench, kept, earlier, replace(last.tried, fitted=slim, held=without))
+        kept = _without(bench, kept, earlier, replace(last.tried, fitted=slim, held_out=without))
     return kept
 
 
@@ -81,13 +81,13 @@ def _carries(bench: Bench, earlier: Confirmed, steps: Sequence[Confirmed]) -> bo
 def _without(bench: Bench, steps: Sequence[Confirmed], dropped: Confirmed, last: Tried) -> list[Confirmed]:
     """The steps without one of them: those between it and the last one are fitted again on top of what was before."""
     at = steps.index(dropped)
-    out, base, held = list(steps[:at]), dropped.base, dropped.before
+    out, base, held_out = list(steps[:at]), dropped.base, dropped.before
     for step in steps[at + 1 : -1]:
         fitted = bench.refit([*base.model.terms, *step.tried.kept], step.tried.fitted, {})
-        tried = replace(step.tried, fitted=fitted, held=bench.held_out(fitted))
-        out.append(replace(step, tried=tried, base=base, before=held))
-        base, held = fitted, tried.held
+        tried = replace(step.tried, fitted=fitted, held_out=bench.held_out(fitted))
+        out.append(replace(step, tried=tried, base=base, before=held_out))
+        base, held_out = fitted, tried.held_out
     reason = f"it does not lower the held-out error once {last.best.candidate.label} is in the model"
     gone = dropped.tried.refusal(bench.effects, dropped.before.rms, reason)
     refused = (*dropped.refused, *steps[-1].refused, gone)
-    return [*out, replace(steps[-1], tried=last, base=base, before=held, refused=refused)]
+    return [*out, replace(steps[-1], tried=last, base=base, before=held_out, refused=refused)]

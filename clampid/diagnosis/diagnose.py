@@ -151,13 +151,13 @@ def _one(
     done: dict[tuple[object, ...], FittedStage] = {}
 
     def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:
-        known, held = {**last.model.values(), **start}, opened.held_out(stage)
+        known, held_out = {**last.model.values(), **start}, opened.held_out(stage)
         others = opened.stages[stage].carried_prior or before
         # Poses may be looked through twice, and then most of what is fitted is the same. A fit of a log is too large.
         key = (tuple(terms), tuple(known.items()), float(last.estimate.noise.sigma.sum()))
         found = done.get(key)
         if found is None:
-            found = fit_stage(rows, opened.effects, terms, others, known, held, last=last.estimate)
+            found = fit_stage(rows, opened.effects, terms, others, known, held_out, last=last.estimate)
             if kind_of(stage).points:
                 done[key] = found
         return found

@@ -15,7 +15,7 @@ from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Array, Rows
 
-__all__ = ["HELD_OUT_RATE", "HeldOut", "either_p", "held_out"]
+__all__ = ["HELD_OUT_RATE", "HeldOut", "either_p", "held_out_of"]
 
 HELD_OUT_RATE = 0.05
 """Chance of a fall of the held-out error that passes for one, of an effect that is not there."""
@@ -78,7 +78,7 @@ class HeldOut:
         return min(2.0 * min(p, white), 1.0)
 
 
-def held_out(
+def held_out_of(
     estimate: Estimate,
     verification: Rows | None,
     floor: Floor,

@@ -80,7 +80,7 @@ class Remains:
 
 
 def remains_of(
-    scores: CandidateScores, estimate: Estimate, held: HeldOut, verification: Rows | None, seed: int
+    scores: CandidateScores, estimate: Estimate, held_out: HeldOut, verification: Rows | None, seed: int
 ) -> Remains | None:
     """What the best probe finds, if it fires and lowers the error of rows that no fit has seen; else None.
 
@@ -95,15 +95,15 @@ def remains_of(
     where, poses = scores.probe.candidate.places, estimate.problem.kind.points
 
     def size_of(share: float) -> float:
-        return float(np.sqrt(max(share, 0.0) * _per_motor(held.rows, where))) * held.rms
+        return float(np.sqrt(max(share, 0.0) * _per_motor(held_out.rows, where))) * held_out.rms
 
     size = size_of(fall.share)
     if poses:
-        large = size >= MATTERS * held.floor.norm > 0.0 and held.rms > held.floor.norm
+        large = size >= MATTERS * held_out.floor.norm > 0.0 and held_out.rms > held_out.floor.norm
     else:
         large = size_of(fall.share + float(stats.norm.isf(CLEARLY)) * fall.error) >= MATTERS
     found = variables_of(scores)
-    return Remains(tuple(found), where, size, fall.p, large or above_the_floor(held, CLEARLY))
+    return Remains(tuple(found), where, size, fall.p, large or above_the_floor(held_out, CLEARLY))
 
 
 def _per_motor(rows: Rows, where: tuple[str, ...]) -> float:
@@ -131,28 +131,28 @@ def _fall(probe: Scored, estimate: Estimate, verification: Rows | None, seed: in
     return replace(fall, p=either_p(fall.p, cross_fitted_fall(estimate, probe, seed).p))
 
 
-def above_the_floor(held: HeldOut, rate: float) -> bool:
+def above_the_floor(held_out: HeldOut, rate: float) -> bool:
     """Whether a held-out error is above the noise floor by more than chance, at that rate.
 
     The mean square's variance is that of the units' sums (visits, blocks of a log); the floor's is that of its returns,
     or, of a log, that of as many rows. Where only the instrument's maker says what the floor is, the robot's usual
     repeatability comes on top.
     """
-    squares, (counts, width) = held.squares, _counted(held)
-    _, unit = np.unique(blocks_of_visits(held.rows, held.block), return_inverse=True)
+    squares, (counts, width) = held_out.squares, _counted(held_out)
+    _, unit = np.unique(blocks_of_visits(held_out.rows, held_out.block), return_inverse=True)
     total, number = np.bincount(unit, squares), np.bincount(unit, counts)
     mean = float(total.sum() / max(number.sum(), 1.0))
     variance = float(np.sum((total - mean * number) ** 2)) / max(float(number.sum()), 1.0) ** 2
-    if not held.rows.kind.points:
+    if not held_out.rows.kind.points:
         return bool(mean - 1.0 > stats.norm.isf(rate) * np.sqrt(2.0 * variance))
-    floor = held.floor
+    floor = held_out.floor
     level = floor.norm**2 if floor.source == "replicates" else floor.most**2
     known = 2.0 * level**2 / (width * floor.freedom) if floor.freedom else 0.0
     return bool(mean - level > stats.norm.isf(rate) * np.sqrt(variance + known))
 
 
-def _counted(held: HeldOut) -> tuple[np.ndarray, int]:
+def _counted(held_out: HeldOut) -> tuple[np.ndarray, int]:
     """How many errors each row has ``(N,)``, and of how many coordinates a pose's is."""
-    if held.rows.kind.points:
-        return held.rows.used.any(axis=1).astype(float), 3
-    return held.rows.used.sum(axis=1).astype(float), 1
+    if held_out.rows.kind.points:
+        return held_out.rows.used.any(axis=1).astype(float), 3
+    return held_out.rows.used.sum(axis=1).astype(float), 1

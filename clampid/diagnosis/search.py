@@ -38,7 +38,7 @@ class Searched:
         Such groups, of which it has none.
     refused
         What was refused in the last round, as listed.
-    fitted, held, scores
+    fitted, held_out, scores
         The last fit, its errors on rows that it has not seen, and the scores on what it leaves.
     """
 
@@ -49,7 +49,7 @@ class Searched:
     undecided: list[Undecided]
     refused: list[dict[str, Any]]
     fitted: FittedStage
-    held: HeldOut
+    held_out: HeldOut
     scores: CandidateScores
 
 
@@ -65,32 +65,32 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     if bench.folds is None and (finer := folds_of(rows, _on_trial(scores), effects)) is not None:
         return finer
     before, first_scores = bench.held_out(fitted), scores.remembered
-    held = before
+    held_out = before
     steps: list[Confirmed] = []
     taken: list[Taken] = []
     undecided: list[Undecided] = []
     refused: list[dict[str, Any]] = []
     dropped: set[str] = set()
     for number in range(1, SEARCH_ROUNDS + 1):
-        tried, others = bench.decided(scores, fitted, held)  # a ranking is valid for one step
+        tried, others = bench.decided(scores, fitted, held_out)  # a ranking is valid for one step
         finer = bench.folds or folds_of(rows, _on_trial(scores, others), effects)
         if finer is not None and finer is not bench.folds:
             return finer
-        refused = [t.refusal(effects, held.rms) for t in others]
+        refused = [t.refusal(effects, held_out.rms) for t in others]
         if isinstance(tried, Undecided) and not rows.kind.points and tried.alike(effects, bench.elsewhere):
-            taken.append(bench.taken(tried, fitted, held, len(steps)))
-            fitted, held = taken[-1].fitted, taken[-1].held
+            taken.append(bench.taken(tried, fitted, held_out, len(steps)))
+            fitted, held_out = taken[-1].fitted, taken[-1].held_out
         else:
             if isinstance(tried, Undecided):
-                tried, undecided, only_beside = bench.beside(tried, fitted, held, number)
-                refused += [t.refusal(effects, held.rms) for t in only_beside]
+                tried, undecided, only_beside = bench.beside(tried, fitted, held_out, number)
+                refused += [t.refusal(effects, held_out.rms) for t in only_beside]
             if tried is None:
                 break
-            steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held, tuple(refused))], dropped)
-            fitted, held = steps[-1].tried.fitted, steps[-1].tried.held
+            steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held_out, tuple(refused))], dropped)
+            fitted, held_out = steps[-1].tried.fitted, steps[-1].tried.held_out
         scores = scores.remembered  # the whole is as large as its rows, and the next is about to be made
         scores = bench.scores(fitted, 2 * number)
-    return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held, scores)
+    return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held_out, scores)
 
 
 def _on_trial(scores: CandidateScores, refused: Sequence[Tried] = ()) -> list[Candidate]:

@@ -98,8 +98,8 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     result = StageDiagnosis(stage, kind_of(stage).error_unit)
     result.folds, first, fitted = bench.folds, fitted.estimate, outcome.fitted
     result.noise_floor = floor.norm if kind_of(stage).points else 1.0
-    held, scores, probe = outcome.held, outcome.scores, outcome.first_scores.probe
-    result.before, result.after = outcome.before.rms, held.rms
+    held_out, scores, probe = outcome.held_out, outcome.scores, outcome.first_scores.probe
+    result.before, result.after = outcome.before.rms, held_out.rms
     result.depends_on = list(probe.candidate.depends_on) if outcome.first_scores.fires and probe is not None else []
     refused = _set_down(result, outcome.steps, outcome.refused, effects, fitted.estimate)
     if outcome.taken or outcome.undecided:
@@ -110,11 +110,11 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     # Of what is not in the model now: before a large effect was added, its residual hid much of what shows without it.
     result.testability = testability_of(scores.named, scores.named_null, effects, first.problem.rows.robot)
     result.considered = [*refused, *considered_of(scores.named, scores.named_null)]
-    tested = None if verification is None else held.rows
-    result.outliers = _rejected(fitted.estimate, verification, held)
+    tested = None if verification is None else held_out.rows
+    result.outliers = _rejected(fitted.estimate, verification, held_out)
     few = estimates_share(fitted.estimate, verification is not None)
     excess = result.after > FAR_OFF * few * (floor.most if kind_of(stage).points else 1.0)
-    left = remains_of(scores, fitted.estimate, held, tested, seed)
+    left = remains_of(scores, fitted.estimate, held_out, tested, seed)
     if result.verdict != "ambiguous" and (excess or (left is not None and left.matters)):
         _unknown(result, scores, fitted.estimate, seed)
     elif left is not None and not left.matters:
@@ -128,12 +128,12 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     return result
 
 
-def _rejected(estimate: Estimate, verification: Rows | None, held: HeldOut) -> list[dict[str, Any]]:
+def _rejected(estimate: Estimate, verification: Rows | None, held_out: HeldOut) -> list[dict[str, Any]]:
     """Rows that the last fit and the table verification are without: what the first fit lacked moved rows, too."""
     if verification is None:
         return outliers_of(estimate)
-    wrong = np.any(verification.used & ~held.rows.used, axis=1)
-    return [*outliers_of(estimate), *listed_outliers(verification, held.residual, wrong)]
+    wrong = np.any(verification.used & ~held_out.rows.used, axis=1)
+    return [*outliers_of(estimate), *listed_outliers(verification, held_out.residual, wrong)]
 
 
 def _set_down(
@@ -184,7 +184,10 @@ def _undecided(
         for s in group.members:
             before, after = result.after, None
             if here is not None:
-                before, after = here.before.rms, here.held.rms if s is group.members[0] else bench.alone(here.base, s)
+                before, after = (
+                    here.before.rms,
+                    here.held_out.rms if s is group.members[0] else bench.alone(here.base, s),
+                )
             elif number == 1:  # those beside them were found in another fit
                 after = bench.alone(fitted, s)
             scores = group.scores

@@ -27,7 +27,7 @@ from clampid.diagnosis.confirm import (
 )
 from clampid.diagnosis.entries import confusable_with
 from clampid.diagnosis.folds import Folds
-from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p, held_out
+from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p, held_out_of
 from clampid.diagnosis.linear_refit import Step, linear_refit, step_towards
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, behind, pruned
@@ -63,7 +63,7 @@ class _Along(NamedTuple):
     scored: Scored
     fitted: FittedStage
     kept: list[Term]
-    held: HeldOut
+    held_out: HeldOut
 
 
 @dataclass(frozen=True)
@@ -107,18 +107,18 @@ class Bench:
 
     def held_out(self, fitted: FittedStage) -> HeldOut:
         """A fit's errors on rows that it has not seen."""
-        return held_out(fitted.estimate, self.verification, self.floor, self.seed, self.block, self.folds)
+        return held_out_of(fitted.estimate, self.verification, self.floor, self.seed, self.block, self.folds)
 
     def alone(self, fitted: FittedStage, s: Scored) -> float | None:
         """The rms, in the stage's unit, that a candidate would leave of rows that no fit has seen; it is not fitted."""
         estimate = linear_refit(fitted.estimate, s)
         if estimate is None:
             return None
-        return held_out(estimate, self.verification, self.floor, self.seed, self.block, self.folds).rms
+        return held_out_of(estimate, self.verification, self.floor, self.seed, self.block, self.folds).rms
 
     @substep("trying the best candidates", ROUND_SHARE)
     def decided(
-        self, scores: CandidateScores, fitted: FittedStage, held: HeldOut
+        self, scores: CandidateScores, fitted: FittedStage, held_out: HeldOut
     ) -> tuple[Tried | Undecided | None, list[Tried]]:
         """The first candidate that is confirmed, or cannot be distinguished from others, and those refused before it.
 
@@ -129,7 +129,7 @@ class Bench:
             best = scores.best({t.best.candidate.label for t in refused})
             if best is None or scores.only_stands_in(best):
                 break
-            found = self._tried(best, scores, fitted, held, refused)
+            found = self._tried(best, scores, fitted, held_out, refused)
             found = replace(found, scores=scores.remembered)
             if isinstance(found, Undecided):
                 return found, refused
@@ -139,7 +139,7 @@ class Bench:
         return None, refused
 
     def _tried(
-        self, best: Scored, scores: CandidateScores, fitted: FittedStage, held: HeldOut, refused: Sequence[Tried]
+        self, best: Scored, scores: CandidateScores, fitted: FittedStage, held_out: HeldOut, refused: Sequence[Tried]
     ) -> Tried | Undecided:
         """Fit a candidate along, and see whether it does on other rows what it promised on these.
 
@@ -151,13 +151,13 @@ class Bench:
         if known is not None:
             best, rivals = known, []
         if rivals:
-            return self._undecided(simplest_of(scores.named, best), rivals, scores, fitted, held)
+            return self._undecided(simplest_of(scores.named, best), rivals, scores, fitted, held_out)
         step = step_towards(fitted.estimate, best)
         if step is not None and step.falls and step.linear and best.assumed <= MOSTLY and self._plain(best):
-            new = held_out(step.near, self.verification, self.floor, self.seed, self.block, self.folds)
-            p_held = held.p_above(new, new.noise, self.seed)
-            if p_held > RISES:  # one Gauss-Newton step towards it is the fit where nothing is curved
-                return Tried(best, scores, fitted, [], new, p_held, 0.0, NO_FALL)
+            new = held_out_of(step.near, self.verification, self.floor, self.seed, self.block, self.folds)
+            p_held_out = held_out.p_above(new, new.noise, self.seed)
+            if p_held_out > RISES:  # one Gauss-Newton step towards it is the fit where nothing is curved
+                return Tried(best, scores, fitted, [], new, p_held_out, 0.0, NO_FALL)
         # Scores only know shapes on a grid, so that which of several variants it is shows in their fits.
         variants: list[tuple[Scored, Step | None]] = [
             (s, step_towards(fitted.estimate, s)) for s in variants_of(scores.named, best)
@@ -165,11 +165,11 @@ class Bench:
         others = [(s, own) for s, own in variants if not _needless(s, own, best, step)]
         if known is None:
             others += self._not_linear(scores, fitted, best, step, refused)
-        fits = [self._fitted_along(s, near, fitted, held) for s, near in ((best, step), *others)]
-        return self._judged(fits, scores, held, {t.best.candidate.label for t in refused})
+        fits = [self._fitted_along(s, near, fitted, held_out) for s, near in ((best, step), *others)]
+        return self._judged(fits, scores, held_out, {t.best.candidate.label for t in refused})
 
     def _undecided(
-        self, best: Scored, rivals: Sequence[Scored], scores: CandidateScores, fitted: FittedStage, held: HeldOut
+        self, best: Scored, rivals: Sequence[Scored], scores: CandidateScores, fitted: FittedStage, held_out: HeldOut
     ) -> Tried | Undecided:
         """Candidates that explain the same, if any of them lowers the error of rows that no fit has seen.
 
@@ -181,11 +181,11 @@ class Bench:
             step = step_towards(fitted.estimate, s)
             if step is not None and step.falls and step.linear and s.assumed <= MOSTLY and self._plain(s):
                 trial, kept = fitted, list[Term]()
-                new = held_out(step.near, self.verification, self.floor, self.seed, self.block)
-                p, falls = self._confirmed(held, new, s, fitted.estimate)
+                new = held_out_of(step.near, self.verification, self.floor, self.seed, self.block)
+                p, falls = self._confirmed(held_out, new, s, fitted.estimate)
             else:  # one step is not the fit: only this decides
-                _, trial, kept, new = self._fitted_along(s, step, fitted, held)
-                p, falls = self._falls(s, trial.estimate, kept, held, new)
+                _, trial, kept, new = self._fitted_along(s, step, fitted, held_out)
+                p, falls = self._falls(s, trial.estimate, kept, held_out, new)
             if falls:
                 return Undecided([best, *rivals], scores)
             refusal = refusal or Tried(s, scores, trial, kept, new, p, 0.0, NO_FALL)
@@ -196,15 +196,15 @@ class Bench:
         effect = self.effects[s.candidate.name]
         return effect.event is None and effect.scanned is None
 
-    def _confirmed(self, held: HeldOut, new: HeldOut, s: Scored, without: Estimate) -> tuple[float, bool]:
+    def _confirmed(self, held_out: HeldOut, new: HeldOut, s: Scored, without: Estimate) -> tuple[float, bool]:
         """One-sided p of the fall of the held-out error, and whether it falls at all and that is no chance."""
-        p = held.p_above(new, new.noise, self.seed)
+        p = held_out.p_above(new, new.noise, self.seed)
         if self.verification is not None and p > 0.5 * HELD_OUT_RATE:
             p = either_p(p, cross_fitted_fall(without, s, self.seed).p)
-        return p, p <= HELD_OUT_RATE and held.exceed(new)
+        return p, p <= HELD_OUT_RATE and held_out.exceed(new)
 
     def _falls(
-        self, best: Scored, trial: Estimate, kept: Sequence[Term], held: HeldOut, new: HeldOut
+        self, best: Scored, trial: Estimate, kept: Sequence[Term], held_out: HeldOut, new: HeldOut
     ) -> tuple[float, bool]:
         """One-sided p of the fall of the held-out error, and whether that confirms a candidate.
 
@@ -227,15 +227,15 @@ class Bench:
             return p, p <= HELD_OUT_RATE
         if effect.scanned is not None:
             p = event_p(trial, effect.name, self.seed)
-            return p, p <= HELD_OUT_RATE and new.p_above(held, new.noise, self.seed) > HELD_OUT_RATE
-        p = held.p_above(new, new.noise, self.seed)
+            return p, p <= HELD_OUT_RATE and new.p_above(held_out, new.noise, self.seed) > HELD_OUT_RATE
+        p = held_out.p_above(new, new.noise, self.seed)
         if self.verification is not None and p > 0.5 * HELD_OUT_RATE:
             p = either_p(p, terms_p(trial, kept, self.seed))
-        by_prior = best.assumed > MOSTLY and new.p_above(held, new.noise, self.seed) > HELD_OUT_RATE
-        return p, (p <= HELD_OUT_RATE and held.exceed(new)) or by_prior
+        by_prior = best.assumed > MOSTLY and new.p_above(held_out, new.noise, self.seed) > HELD_OUT_RATE
+        return p, (p <= HELD_OUT_RATE and held_out.exceed(new)) or by_prior
 
     def _judged(
-        self, fits: Sequence[_Along], scores: CandidateScores, held: HeldOut, refused: Collection[str]
+        self, fits: Sequence[_Along], scores: CandidateScores, held_out: HeldOut, refused: Collection[str]
     ) -> Tried | Undecided:
         """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted.
 
@@ -243,15 +243,15 @@ class Bench:
         of those that stand out of their null. Others explain more of these rows by chance, whatever is missing.
         """
         (best, trial, kept, new), level = self._likeliest([fit for fit in fits if fit.kept] or fits)
-        p_held, falls = self._falls(best, trial.estimate, kept, held, new)
+        p_held_out, falls = self._falls(best, trial.estimate, kept, held_out, new)
         if not kept:
-            return Tried(best, scores, trial, kept, new, p_held, 0.0, IMPOSSIBLE)
+            return Tried(best, scores, trial, kept, new, p_held_out, 0.0, IMPOSSIBLE)
         if falls and level:
             return Undecided([best, *(fit.scored for fit in level)], scores)
         others = [fit for fit in fits if not fit.scored.candidate.is_variant_of(best.candidate)]
         if not falls:
             again = stability(first_without_parts(scores.space, scores.named, scores.folds, self.seed), [best])
-            return Tried(fits[0].scored, scores, trial, kept, new, p_held, again, NO_FALL)
+            return Tried(fits[0].scored, scores, trial, kept, new, p_held_out, again, NO_FALL)
         may_be = [best, *(fit.scored for fit in others)]  # which of these it is the fits have told
         on_trial = [s for s in scores.named if s.candidate.label not in refused]
         first = first_without_parts(scores.space, on_trial, scores.folds, self.seed)
@@ -263,8 +263,8 @@ class Bench:
                 return Undecided([best, *rest.values()], scores)
             among = first_without_parts(scores.space, scores.standing_out(refused), scores.folds, self.seed)
             if stability(among, may_be) < OF_FEW:
-                return Tried(fits[0].scored, scores, trial, kept, new, p_held, again, UNSTABLE)
-        return Tried(best, scores, trial, kept, new, p_held, again, "")
+                return Tried(fits[0].scored, scores, trial, kept, new, p_held_out, again, UNSTABLE)
+        return Tried(best, scores, trial, kept, new, p_held_out, again, "")
 
     def _likeliest(self, fits: Sequence[_Along]) -> tuple[_Along, list[_Along]]:
         """The fit that rows not fitted speak for, and those of other effects that are neither worse nor less likely.
@@ -272,9 +272,9 @@ class Bench:
         Where the errors of rows not fitted are level, an effect that needs many more numbers for the same is no rival.
         """
         best = self._cause_first(fits)
-        new, mine = best.held, best.scored.candidate
+        new, mine = best.held_out, best.scored.candidate
         others = [fit for fit in fits if not fit.scored.candidate.is_variant_of(mine)]
-        level = [best, *(fit for fit in others if fit.held.p_above(new, new.noise, self.seed) > HELD_OUT_RATE)]
+        level = [best, *(fit for fit in others if fit.held_out.p_above(new, new.noise, self.seed) > HELD_OUT_RATE)]
         if len(level) < 2:
             return best, []
         odds = behind([(fit.fitted.estimate, fit.kept) for fit in level], new.noise)
@@ -283,10 +283,12 @@ class Bench:
 
     def _cause_first(self, fits: Sequence[_Along]) -> _Along:
         """The fit with the least error on rows not fitted; of what only states an outcome, its cause where as good."""
-        least = min(fits, key=lambda fit: fit.held.rms)
+        least = min(fits, key=lambda fit: fit.held_out.rms)
         causes = [fit for fit in fits if fit.scored.candidate.name in least.scored.candidate.describes]
-        level = [c for c in causes if c.held.p_above(least.held, least.held.noise, self.seed) > HELD_OUT_RATE]
-        return min(level, key=lambda fit: fit.held.rms, default=least)
+        level = [
+            c for c in causes if c.held_out.p_above(least.held_out, least.held_out.noise, self.seed) > HELD_OUT_RATE
+        ]
+        return min(level, key=lambda fit: fit.held_out.rms, default=least)
 
     def _not_linear(
         self, scores: CandidateScores, fitted: FittedStage, best: Scored, step: Step | None, refused: Sequence[Tried]
@@ -298,7 +300,7 @@ class Bench:
         curved = [(s, own) for s, own in steps if own is not None and not (straight and own.linear)]
         return [(s, own) for s, own in curved if own.may_reach(step)]
 
-    def _fitted_along(self, s: Scored, step: Step | None, fitted: FittedStage, held: HeldOut) -> _Along:
+    def _fitted_along(self, s: Scored, step: Step | None, fitted: FittedStage, held_out: HeldOut) -> _Along:
         """A candidate fitted along, without those of its places that do not pay.
 
         What clearly raises the error of rows that no fit has seen is refused as it is: which of its places would pay
@@ -309,13 +311,13 @@ class Bench:
         trial = self.refit([*fitted.model.terms, *s.candidate.terms], fitted, start)
         if len(s.candidate.terms) > 1 and self._plain(s):
             whole = self.held_out(trial)
-            if not held.exceed(whole) and whole.p_above(held, whole.noise, self.seed) <= HELD_OUT_RATE:
+            if not held_out.exceed(whole) and whole.p_above(held_out, whole.noise, self.seed) <= HELD_OUT_RATE:
                 return _Along(s, trial, list(s.candidate.terms), whole)
         trial, kept = pruned(trial, s.candidate.terms, fitted.model.terms, self.refit)
         return _Along(s, trial, kept, self.held_out(trial))
 
     def beside(
-        self, undecided: Undecided, fitted: FittedStage, held: HeldOut, number: int
+        self, undecided: Undecided, fitted: FittedStage, held_out: HeldOut, number: int
     ) -> tuple[Tried | None, list[Undecided], list[Tried]]:
         """What is missing whichever of some candidates, that these rows cannot distinguish, is the true one.
 
@@ -325,7 +327,7 @@ class Bench:
 
         Parameters
         ----------
-        held
+        held_out
             Errors of the fit without any of them.
 
         Returns
@@ -339,7 +341,7 @@ class Bench:
             whole, scores = self._along(groups, fitted, whole, number)
             found, _ = self.decided(scores, whole, self.held_out(whole))
             if isinstance(found, Tried):
-                alone = self._fitted_with(found, fitted, held)
+                alone = self._fitted_with(found, fitted, held_out)
                 return (None, [undecided], [alone]) if alone.reason else (alone, [], [])
             if found is None:
                 break
@@ -367,23 +369,23 @@ class Bench:
         near = step.near.values() if step is not None and step.falls else last.model.values()
         return self.refit([*fitted.model.terms, *terms], last, {**shapes, **near}), granted
 
-    def taken(self, undecided: Undecided, fitted: FittedStage, held: HeldOut, after: int) -> Taken:
+    def taken(self, undecided: Undecided, fitted: FittedStage, held_out: HeldOut, after: int) -> Taken:
         """The first of some candidates fitted along, where it makes no difference which of them it is."""
         group = undecided.taken(self.effects)
         whole, _ = self.with_undecided([group], fitted, fitted)
-        return Taken(group, fitted, held, whole, self.held_out(whole), after)
+        return Taken(group, fitted, held_out, whole, self.held_out(whole), after)
 
     def _linear(self, candidate: Candidate) -> bool:
         """Whether its columns say all of it: no prior limits its amplitudes, and it is no event."""
         return candidate.prior is None and self.effects[candidate.name].event is None
 
-    def _fitted_with(self, tried: Tried, fitted: FittedStage, held: HeldOut) -> Tried:
+    def _fitted_with(self, tried: Tried, fitted: FittedStage, held_out: HeldOut) -> Tried:
         """What was confirmed beside undecided candidates, fitted without them; refused if it brings nothing alone."""
         shapes = {k: v for k, v in tried.fitted.model.values().items() if k in tried.best.candidate.shapes}
         alone = self.refit([*fitted.model.terms, *tried.kept], fitted, shapes)
         new = self.held_out(alone)
-        lowers = held.exceed(new) or not self._plain(tried.best)  # rows not fitted tell nothing of what is local
-        return replace(tried, fitted=alone, held=new, reason="" if lowers else ONLY_BESIDE)
+        lowers = held_out.exceed(new) or not self._plain(tried.best)  # rows not fitted tell nothing of what is local
+        return replace(tried, fitted=alone, held_out=new, reason="" if lowers else ONLY_BESIDE)
 
 
 def _needless(s: Scored, own: Step | None, best: Scored, step: Step | None) -> bool:

@@ -37,7 +37,7 @@ class Tried:
     scores: CandidateScores
     fitted: FittedStage
     kept: list[Term]
-    held: HeldOut
+    held_out: HeldOut
     p_held_out: float
     stability: float
     reason: str
@@ -45,7 +45,7 @@ class Tried:
 
     def entry(self, effects: dict[str, Effect], before: float, estimate: Estimate) -> dict[str, Any]:
         """As the contract lists it, the held-out rms without it given, and the fit that has its parameters."""
-        null, after = self.scores.named_null, self.held.rms
+        null, after = self.scores.named_null, self.held_out.rms
         return {
             **entry_of(self.best, null, effects, (before, after), estimate, self.kept),
             "stability": self.stability,
@@ -56,7 +56,7 @@ class Tried:
     def refusal(self, effects: dict[str, Effect], before: float, reason: str = "") -> dict[str, Any]:
         """The same of one that is refused, with its reason or another; its parameters are the score's."""
         scale = self.scores.space.scale
-        entry = entry_of(self.best, self.scores.named_null, effects, (before, self.held.rms), scale=scale)
+        entry = entry_of(self.best, self.scores.named_null, effects, (before, self.held_out.rms), scale=scale)
         outcome = {"stability": self.stability, "p_held_out": self.p_held_out, "reason": reason or self.reason}
         return {**entry, **outcome}
 
@@ -93,5 +93,5 @@ class Taken(NamedTuple):
     base: FittedStage
     before: HeldOut
     fitted: FittedStage
-    held: HeldOut
+    held_out: HeldOut
     after: int

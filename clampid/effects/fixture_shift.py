@@ -32,7 +32,7 @@ EFFECT = Effect(
             meaning="when: sweeps before, and the share of the sweep's rows before; between two rows",
             shape=True,
             grid=(0.47,),
-            held="everywhere",
+            fixed="everywhere",
         ),
     ),
     needs=("sweep_progress",),
@@ -41,6 +41,6 @@ EFFECT = Effect(
     source=("Thesis",),
     at="fixture",
     event="at",
-    caveat="how far it slipped is known a little less well than stated: friction kept by held motors may hide which "
-    "clearances it passed; on eight virtual robots 90 % of these 95 % intervals held the truth",
+    caveat="the true uncertainty of the slip is slightly larger than stated: friction of motors at rest may hide which "
+    "clearances were crossed; on eight virtual robots 90 % of the 95 % intervals contained the true value",
 )

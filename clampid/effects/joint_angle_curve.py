@@ -39,7 +39,7 @@ EFFECT = Effect(
     parameters=(
         Parameter(
             "rms", "rad", ERROR, bounds=(0.0, 0.05), meaning="what the curves amount to, rms over a turn",
-            shape=True, grid=(ERROR,), held="everywhere",
+            shape=True, grid=(ERROR,), fixed="everywhere",
         ),
         *(
             Parameter(

@@ -68,17 +68,17 @@ EFFECT = Effect(
     parameters=(
         Parameter(
             "sense", "", 1.0, "joint", (-1.0, 1.0), "how the part is mounted: +1 or -1; 0: another part",
-            shape=True, grid=(0.0, 1.0, -1.0), held="everywhere",
+            shape=True, grid=(0.0, 1.0, -1.0), fixed="everywhere",
         ),
         Parameter(
             "phase", "rad", ANYWHERE, "joint", meaning="where the curve begins, counted from the first joint's",
-            shape=True, grid=(0.0,), held="first",
+            shape=True, grid=(0.0,), fixed="first",
         ),
         *(p for k in LOW for p in _sines("own_", k, "rad", SEAT / len(LOW) ** 0.5, "joint")),
         *(p for k, share in zip(SHARED, SHARE, strict=True) for p in _sines("own_", k, "", share, "joint")),
         Parameter(
             "deviation", "rad", ERROR, bounds=(0.0, 0.05), meaning="how far parts of one make differ, rms over a turn",
-            shape=True, grid=(0.3 * ERROR,), held="everywhere",
+            shape=True, grid=(0.3 * ERROR,), fixed="everywhere",
         ),
         *(p for k, share in zip(SHARED, SHARE, strict=True) for p in _sines("", k, "rad", ERROR * share, "robot")),
     ),

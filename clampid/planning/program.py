@@ -86,7 +86,7 @@ def finished_program(
     assumed: Sequence[str] = (),
     impossible: tuple[str, ...] = (),
 ) -> Plan:
-    """The plan of these runs, with what they will tell, held against its own limits.
+    """The plan of these runs, with what they will tell, checked against its own limits.
 
     Parameters
     ----------

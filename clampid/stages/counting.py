@@ -17,7 +17,7 @@ from clampid.effect import Effect
 from clampid.roles import INERTIAS
 from clampid.stages.log_facts import LogFacts, Motion
 from clampid.stages.rows import Array, Bools, Integers
-from experiments.signals import held_sign
+from experiments.signals import carried_sign
 
 __all__ = [
     "FIFTHS",
@@ -76,7 +76,7 @@ def motion_signals(
     to_motor = np.linalg.inv(transmission)  # rows: w_joint @ T^-1 = (T^-T w_joint)'
     joint_speed, motor_speed = motion.speed, motion.speed @ to_motor
     motor = motion.position @ to_motor
-    joint_motion = held_sign(joint_speed, facts.rest, run, motion.position, time)
+    joint_motion = carried_sign(joint_speed, facts.rest, run, motion.position, time)
     gear = np.diag(transmission)
     return {
         "q": motion.position,
@@ -84,7 +84,7 @@ def motion_signals(
         "joint_speed": joint_speed,
         "motor_speed": motor_speed,
         "joint_motion": joint_motion,
-        "motor_motion": held_sign(motor_speed, facts.rest_motor, run, motor, time),
+        "motor_motion": carried_sign(motor_speed, facts.rest_motor, run, motor, time),
         "own_speed": joint_speed / gear,
         "own_motion": joint_motion * np.sign(gear),
         "joint_acceleration": motion.acceleration,
@@ -122,7 +122,7 @@ def counting(
     Parameters
     ----------
     signals
-        Of :func:`motion_signals`, their held signs carried on from before the rows.
+        Of :func:`motion_signals`, their signs carried on from before the rows.
     run
         The log's number of each row's run ``(N,)``.
     wrist

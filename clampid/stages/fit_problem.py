@@ -21,10 +21,10 @@ from clampid.stages.statements import stated_equations
 from kinematics.description import RobotDescription
 from kinematics.masses import own_moment
 
-__all__ = ["HELD_STD", "FitProblem", "fit_problem", "parameter_of"]
+__all__ = ["FIXED_STD", "FitProblem", "fit_problem", "parameter_of"]
 
 
-HELD_STD = 1e-9  # sizes: as tightly as numbers allow
+FIXED_STD = 1e-9  # sizes: as tightly as numbers allow
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class FitProblem:
         return replace(self, chain=replace(self.chain, lean=lean))
 
     def with_flanks(self, theta: Array) -> FitProblem:
-        """The same with flanks and loads held where these parameters put them; only poses have any."""
+        """The same with flanks and loads frozen where these parameters put them; only poses have any."""
         if self.kind.frozen is None:
             return self
         signals = self.kind.frozen(self.rows, self.chain, theta[: len(self.slots)])
@@ -131,7 +131,7 @@ class FitProblem:
     def prior_std(self) -> Array:
         """Standard deviations ``(P + K,)`` of what is assumed of each parameter before any row is seen."""
         std = np.array([*(p.prior_std for p in self.parameters), *self._offset_sizes[1]])
-        std = np.where(self.fixed(), HELD_STD * self.sizes(), std)
+        std = np.where(self.fixed(), FIXED_STD * self.sizes(), std)
         for k, slot in enumerate(self.slots):
             if self.effects[slot.effect].event == slot.parameter:  # somewhere between two rows
                 share = self.rows.signals["sweep_progress"] % 1.0
@@ -145,7 +145,7 @@ class FitProblem:
         prior: list[float] = []
         for _, joint in self.rows.offset_keys:
             kept = joint - self.rows.robot.n
-            size.append(self.kind.offset_size if kept < 0 else float(self.rows.sweep.held_friction[kept]))
+            size.append(self.kind.offset_size if kept < 0 else float(self.rows.sweep.loop_friction[kept]))
             prior.append(WEAK_SPREAD * size[-1] if kept < 0 else size[-1])  # friction at rest is no more than in motion
         return size, prior
 

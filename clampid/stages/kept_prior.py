@@ -25,7 +25,7 @@ def with_kept_friction(rows: Rows, first: int, precision: Array, mean: Array) ->
         at, before = place[s, k], place.get((s - 1, k))
         if k < n or not sweep.stood[s, k - n]:
             continue
-        friction = float(sweep.held_friction[k - n])
+        friction = float(sweep.loop_friction[k - n])
         if before is not None:
             pair = np.ix_([before, at], [before, at])
             mean[at], precision[at, at] = mean[before], 0.0

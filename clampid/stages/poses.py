@@ -113,7 +113,7 @@ def frozen_flanks(rows: Rows, chain: Chain, theta: Array) -> Mapping[str, Array]
 
 
 def evaluate(rows: Rows, chain: Chain, theta: Array) -> Deviations:
-    """Deviations at the flanks and loads that are held, or else at those that these parameters give."""
+    """Deviations at the flanks and loads that are frozen, or else at those that these parameters give."""
     follows = chain.reads_flanks and "flank" not in rows.signals
     follows |= chain.yield_function is not None and "yielded" not in rows.signals
     return chain.evaluate(theta, frozen_flanks(rows, chain, theta) if follows else rows.signals)

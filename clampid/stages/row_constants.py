@@ -55,7 +55,7 @@ class SeriesConstants(RowConstants):
         ``(N,)``: the run or sweep, from 0.
     offset_keys
         ``(K, 2)``, (run or sweep, joint from 0): an unknown constant of that joint in that run, which no other run
-        shares; in sweeps (sweep, n + motor): the friction that a motor keeps while it is held.
+        shares; in sweeps (sweep, n + motor): the friction that a motor keeps while at rest.
     known_noise
         ``(m,)``, SI: noise of each column as it is known without the model under test, inf where it is not; None: of
         no column.
@@ -116,7 +116,7 @@ class SweepConstants(SeriesConstants):
         ``(n,)``, Nm: rated torques of the joints.
     loop_compliance
         ``(n,)``, rad/Nm: of the motors' springs, by the slopes of the loops.
-    held_friction
+    loop_friction
         ``(n,)``, Nm: friction of each motor, by the heights of its loops.
     stood
         ``(sweeps, n)``: whether a motor stood still in the whole sweep.
@@ -131,7 +131,7 @@ class SweepConstants(SeriesConstants):
     start_torque: Array = field(metadata=PER_ROW)
     rated: Array
     loop_compliance: Array
-    held_friction: Array
+    loop_friction: Array
     stood: Bools
     kept_sign: Array
 

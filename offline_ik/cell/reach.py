@@ -178,8 +178,8 @@ def _within_reach(detector: Detector, rng: np.random.Generator) -> Array:
     """Places ``(POINTS, 3)`` in the ball that the arm can reach at all, convention's frame, m."""
     ortho, mount = detector.solver.ortho, detector.solver.mount
     assert ortho is not None
-    held = (ortho.home @ mount)[:3, 3] - ortho.wrist
-    reach = sum(ortho.lengths) + float(np.linalg.norm(ortho.shoulder - ortho.foot)) + float(np.linalg.norm(held))
+    tool = (ortho.home @ mount)[:3, 3] - ortho.wrist
+    reach = sum(ortho.lengths) + float(np.linalg.norm(ortho.shoulder - ortho.foot)) + float(np.linalg.norm(tool))
     direction = rng.normal(size=(POINTS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     places = ortho.foot + reach * np.cbrt(rng.uniform(size=(POINTS, 1))) * direction

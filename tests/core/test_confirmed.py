@@ -43,14 +43,14 @@ def bench(opened: ModelOnCampaign, start: FittedStage) -> Bench:
 
 def in_turn(bench: Bench, start: FittedStage, labels: Sequence[str]) -> list[Confirmed]:
     """Steps as if these had been confirmed one after the other."""
-    scores, steps, base, held = bench.scores(start, 0), list[Confirmed](), start, bench.held_out(start)
+    scores, steps, base, held_out = bench.scores(start, 0), list[Confirmed](), start, bench.held_out(start)
     for label in labels:
         best = next(s for s in scores.named if s.candidate.label == label and s.freedom)
         terms = list(best.candidate.terms)
         fitted = bench.refit([*base.model.terms, *terms], base, best.candidate.shapes)
         tried = Tried(best, scores, fitted, terms, bench.held_out(fitted), 0.001, 1.0, "")
-        steps.append(Confirmed(tried, base, held))
-        base, held = fitted, tried.held
+        steps.append(Confirmed(tried, base, held_out))
+        base, held_out = fitted, tried.held_out
     return steps
 
 
@@ -64,7 +64,7 @@ def test_what_a_later_effect_explains_with_fewer_numbers_is_dropped(bench: Bench
     (gone,) = kept[0].refused
     assert gone["name"] == "dress_pack"
     assert gone["reason"] == f"it does not lower the held-out error once {GEAR} is in the model"
-    assert kept[0].tried.held.rms < 1.05 * steps[-1].tried.held.rms
+    assert kept[0].tried.held_out.rms < 1.05 * steps[-1].tried.held_out.rms
 
 
 def test_steps_between_are_fitted_again_without_what_was_dropped(bench: Bench, start: FittedStage) -> None:
@@ -72,9 +72,9 @@ def test_steps_between_are_fitted_again_without_what_was_dropped(bench: Bench, s
     kept = with_needed_only(bench, steps, set())
     assert [s.label for s in kept] == [OTHER, GEAR]
     assert kept[0].before.rms == steps[0].before.rms
-    assert kept[1].before.rms == kept[0].tried.held.rms  # each on top of those before it
+    assert kept[1].before.rms == kept[0].tried.held_out.rms  # each on top of those before it
     assert not any(t.effect == "dress_pack" for t in kept[0].tried.fitted.model.terms)
-    assert kept[1].tried.held.rms < kept[0].tried.held.rms < kept[0].before.rms
+    assert kept[1].tried.held_out.rms < kept[0].tried.held_out.rms < kept[0].before.rms
 
 
 def test_what_is_needed_stays(bench: Bench, start: FittedStage) -> None:

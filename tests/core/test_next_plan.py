@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.diagnosis.held_out import held_out
+from clampid.diagnosis.held_out import held_out_of
 from clampid.diagnosis.linear_refit import linear_refit
 from clampid.diagnosis.next_measurement import ENOUGH, SAME, NextPlan
 from clampid.diagnosis.next_plan import parting_plan, showing_plan
@@ -209,7 +209,7 @@ def test_what_an_alternative_would_bring_is_what_its_fit_brings(simulated: Calla
     terms, values = [*fitted.model.terms, *s.candidate.terms], fitted.model.values()
     model = opened.stages["poses"]
     whole = fit_stage(rows, opened.effects, terms, model.carried_prior or {}, values, opened.held_out("poses"))
-    before, said, found = (held_out(e, None, floor, 0).rms for e in (estimate, along, whole.estimate))
+    before, said, found = (held_out_of(e, None, floor, 0).rms for e in (estimate, along, whole.estimate))
     assert found < 0.8 * before
     assert said == pytest.approx(found, rel=0.05)
 
