@@ -115,7 +115,7 @@ def _split(columns: Array, candidates: Sequence[Candidate]) -> list[Array]:
 
 
 def joined(parts: Sequence[Array], candidates: Sequence[Candidate], count: int) -> tuple[Array, tuple[Array, ...]]:
-    """Nuisance and candidates' columns of a pool, from what `told_by` gave of each measurement."""
+    """Nuisance and candidates' columns of a pool, from the whitened columns of each measurement."""
     stacked = np.stack(list(parts))
     return stacked[:, :, :count], tuple(_split(stacked[:, :, count:], candidates))
 
@@ -151,12 +151,14 @@ def columns_seen_by(
     sigma = np.array([np.median(past.sigma[known[:, c], c]) if known[:, c].any() else np.inf for c in channels])
     noise = replace(past, sigma=np.tile(sigma, (len(rows), 1)))
     return [
-        _told(noise, rows, np.flatnonzero(group == number), jacobian, wanted, len(theta))
+        _whitened_columns(noise, rows, np.flatnonzero(group == number), jacobian, wanted, len(theta))
         for number in range(int(group.max()) + 1)
     ]
 
 
-def _told(noise: Noise, rows: Rows, mine: Integers, jacobian: Array, wanted: Sequence[int], count: int) -> Array:
+def _whitened_columns(
+    noise: Noise, rows: Rows, mine: Integers, jacobian: Array, wanted: Sequence[int], count: int
+) -> Array:
     own = jacobian[mine]
     white = noise.at(mine).whiten(rows.take(mine), np.zeros(own.shape[:2]), own)
     return without_own(white.jacobian[:, list(wanted)], white.jacobian[:, count:])

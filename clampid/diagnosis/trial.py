@@ -393,8 +393,8 @@ def _needless(s: Scored, own: Step | None, best: Scored, step: Step | None) -> b
 
     Fitted, it would leave less of these rows, and of others half the time by chance.
     """
-    scores_tell = all(
+    scores_decide = all(
         one.candidate.prior is None and not one.candidate.shapes and near is not None and near.linear
         for one, near in ((s, own), (best, step))
     )
-    return scores_tell and s.freedom > best.freedom and s.bic < best.bic
+    return scores_decide and s.freedom > best.freedom and s.bic < best.bic

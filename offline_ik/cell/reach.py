@@ -51,9 +51,9 @@ def nearest_reachable(detector: Detector, target: Array, roll: float | None) -> 
             ends.append((least.distance(end), end))
     for _, q in sorted(ends, key=lambda one: one[0]):
         for back in BACK:
-            told = _confirmed(detector, q, target[:3, 3], roll, back)
-            if told is not None:
-                return told
+            confirmed = _confirmed(detector, q, target[:3, 3], roll, back)
+            if confirmed is not None:
+                return confirmed
     return None
 
 

@@ -51,7 +51,7 @@ def test_it_tells_more_than_random_stops_in_the_same_time(free_air: Plan, cell: 
     prior = prior_precision(bench.problem) * size
 
     def value(plans: list) -> float:
-        return log_det(prior + sum(t.information.sum(axis=0) * size for t in bench.tell(plans)))
+        return log_det(prior + sum(t.information.sum(axis=0) * size for t in bench.evaluate(plans)))
 
     planned = value([run.course for run in free_air.runs])
     pool = configurations(limits, 100, Scene.floor_only(cell).clear, 5)
