@@ -178,7 +178,7 @@ def _scores_of(
     estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int, granted: Sequence[Candidate], block: int
 ) -> CandidateScores:
     """The same with the noise that the estimate has."""
-    space = space_of(estimate, blocks_of_visits(estimate.problem.rows, block)).beside(columns_of(estimate, granted))
+    space = space_of(estimate, blocks_of_visits(estimate.problem.rows, block)).granting(columns_of(estimate, granted))
     free = score(space, probes(estimate))
     free_null = flip_maxima(space, free, flips, seed + 1)
     free = [s.remembered for s in free]

@@ -13,7 +13,7 @@ from clampid.slots import Slot, Term
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array, Rows
 
-__all__ = ["Refit", "behind", "needless", "pruned"]
+__all__ = ["Refit", "bic_gap", "needless", "pruned"]
 
 Refit = Callable[[Sequence[Term], FittedStage, Mapping[Slot, float]], FittedStage]
 
@@ -71,7 +71,7 @@ def needless(trial: FittedStage, terms: Sequence[Term], refit: Refit) -> FittedS
     return slim if _loss(slim.estimate, estimate) <= cost else None
 
 
-def behind(fits: Sequence[tuple[Estimate, Sequence[Term]]], noise: Noise) -> Array:
+def bic_gap(fits: Sequence[tuple[Estimate, Sequence[Term]]], noise: Noise) -> Array:
     """By how much each of some fits of the same rows is less likely than the likeliest, ``(fits,)``.
 
     That is what they leave, in units of one noise, what the numbers of the terms in which they differ must bring, and

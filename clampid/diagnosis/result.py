@@ -78,7 +78,7 @@ class StageDiagnosis:
     testability: list[dict[str, Any]] = field(default_factory=list)
     summary: str = ""
     warnings: list[str] = field(default_factory=list)
-    above: dict[str, Any] | None = None
+    floor_excess: dict[str, Any] | None = None
     one_sided: list[OneSided] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     fitted: FittedStage | None = None
@@ -140,7 +140,7 @@ class StageDiagnosis:
             "omission": self.omission,
             "exported_shift": self.exported_shift,
             "testability": self.testability,
-            "above_floor": self.above,
+            "above_floor": self.floor_excess,
             "one_sided": [found.to_json() for found in self.one_sided],
             **({} if self.folds is None else {"folds": self.folds.to_json()}),
             "summary": self.summary,

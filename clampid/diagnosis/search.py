@@ -82,7 +82,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
             fitted, held_out = taken[-1].fitted, taken[-1].held_out
         else:
             if isinstance(tried, Undecided):
-                tried, undecided, only_beside = bench.beside(tried, fitted, held_out, number)
+                tried, undecided, only_beside = bench.confirm_given_ambiguity(tried, fitted, held_out, number)
                 refused += [t.refusal(effects, held_out.rms) for t in only_beside]
             if tried is None:
                 break

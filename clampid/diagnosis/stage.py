@@ -161,7 +161,7 @@ def _in_words(
 ) -> None:
     """Set down the verdict in words, with what an error above the floor may be, and joints seen from one side only."""
     if result.verdict in ("adequate", "missing"):
-        result.above = excess_over_floor(
+        result.floor_excess = excess_over_floor(
             result.after, result.noise_floor, source, len(result.outliers), scores.free, few
         )
     result.one_sided = one_sided(rows)

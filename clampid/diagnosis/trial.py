@@ -30,7 +30,7 @@ from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p, held_out_of
 from clampid.diagnosis.linear_refit import Step, linear_refit, step_towards
 from clampid.diagnosis.next_measurement import SAME
-from clampid.diagnosis.pruning import Refit, behind, pruned
+from clampid.diagnosis.pruning import Refit, bic_gap, pruned
 from clampid.diagnosis.tried import Taken, Tried, Undecided
 from clampid.effect import Effect, Stage
 from clampid.evidence.candidates import Candidate
@@ -277,7 +277,7 @@ class Bench:
         level = [best, *(fit for fit in others if fit.held_out.p_above(new, new.noise, self.seed) > HELD_OUT_RATE)]
         if len(level) < 2:
             return best, []
-        odds = behind([(fit.fitted.estimate, fit.kept) for fit in level], new.noise)
+        odds = bic_gap([(fit.fitted.estimate, fit.kept) for fit in level], new.noise)
         first = 0 if odds[0] <= SAME else int(np.argmin(odds))
         return level[first], [level[k] for k in np.flatnonzero(odds <= SAME) if k != first]
 
@@ -316,7 +316,7 @@ class Bench:
         trial, kept = pruned(trial, s.candidate.terms, fitted.model.terms, self.refit)
         return _Along(s, trial, kept, self.held_out(trial))
 
-    def beside(
+    def confirm_given_ambiguity(
         self, undecided: Undecided, fitted: FittedStage, held_out: HeldOut, number: int
     ) -> tuple[Tried | None, list[Undecided], list[Tried]]:
         """What is missing whichever of some candidates, that these rows cannot distinguish, is the true one.

@@ -94,8 +94,8 @@ def _verdict(result: StageDiagnosis) -> str:
         start = f"{what[:1].upper()}{what[1:]} {were} missing. {fall} "
     error = "" if confirmed else f" Held-out error {shown(result.after)}; {floor}."
     match result.verdict:
-        case "adequate" | "missing" if result.above is not None:
-            return start + _above(result.above, shown(result.after), floor, bool(start))
+        case "adequate" | "missing" if result.floor_excess is not None:
+            return start + _floor_excess(result.floor_excess, shown(result.after), floor, bool(start))
         case "adequate":
             return (
                 f"No missing effect was found. Held-out error {shown(result.before)}; {floor}. An effect above its "
@@ -128,13 +128,13 @@ def _verdict(result: StageDiagnosis) -> str:
             )
 
 
-def _above(above: Mapping[str, Any], error: str, floor: str, further: bool) -> str:
+def _floor_excess(excess: Mapping[str, Any], error: str, floor: str, further: bool) -> str:
     """That no effect was found though the error lies above the noise, with figures and what may be the reason."""
-    unseen = "; ".join(f"{place}: {', '.join(variables)}" for place, variables in above["unseen"].items())
+    unseen = "; ".join(f"{place}: {', '.join(variables)}" for place, variables in excess["unseen"].items())
     blind = f" The model absorbs errors that depend on these variables: {unseen}." if unseen else ""
     return (
         f"No {'further ' if further else 'missing '}effect was confirmed, but the held-out error is {error}: "
-        f"{above['times_floor']:.2g} times the {floor}. {100 * above['share_of_square']:.0f} % of its square are not "
-        f"noise. Possible reasons: {'; '.join(above['reasons'])}.{blind} An effect above its detection limit would "
+        f"{excess['times_floor']:.2g} times the {floor}. {100 * excess['share_of_square']:.0f} % of its square are not "
+        f"noise. Possible reasons: {'; '.join(excess['reasons'])}.{blind} An effect above its detection limit would "
         "have been found with 90 % probability."
     )

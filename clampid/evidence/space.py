@@ -50,7 +50,7 @@ class Space:
     rows: int
     pseudo_std: Array
 
-    def beside(self, columns: Array) -> Space:
+    def granting(self, columns: Array) -> Space:
         """The same with whitened columns ``(M, k)`` that are granted to the model: what they explain is no evidence."""
         if not columns.shape[1]:
             return self

@@ -21,8 +21,8 @@ import orjson
 from clampid.plain_json import finite
 from clampid.wrong_call import CallError
 from experiments.temperatures import REFERENCE_TEMPERATURE
-from offline_ik.beamline.looking import LOOKING
 from offline_ik.beamline.moving import MOVING
+from offline_ik.beamline.previews import PREVIEWS
 from offline_ik.beamline.robot import LinkedRobot
 from offline_ik.cell.pyfai import pyfai_geometry
 from offline_ik.collision.safety import check_path, move_time
@@ -339,7 +339,7 @@ class Speaker:
             "at": Speaker._at,
             "sample": Speaker._sample,
             **MOVING,
-            **LOOKING,
+            **PREVIEWS,
             "state": Speaker._state,
             "help": Speaker._help,
             "quit": Speaker._quit,

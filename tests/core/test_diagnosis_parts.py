@@ -84,18 +84,18 @@ def test_what_is_granted_to_the_model_is_no_evidence(simulated: Callable[..., Ca
     gear, balancer = (candidates[f"{name}@joint3"] for name in ("gear_eccentricity", "gravity_compensator"))
     own = columns_of(estimate, [balancer])
     np.testing.assert_allclose(own, balancer.columns.dense(len(own)))
-    granted = space.beside(own)
+    granted = space.granting(own)
     np.testing.assert_allclose(granted.basis.T @ granted.basis, np.eye(granted.basis.shape[1]), atol=1e-9)
     np.testing.assert_allclose(granted.basis.T @ granted.residual, 0.0, atol=1e-8 * space.scale * len(own))
     before, after = score(space, [gear, balancer]), score(granted, [gear, balancer])
     assert before[0].explained > 100.0
     assert after[1].state == "absorbed"
     assert after[0].explained < 0.1 * before[0].explained
-    both = score(space.beside(gear.columns.dense(len(own))), [balancer])[0]
+    both = score(space.granting(gear.columns.dense(len(own))), [balancer])[0]
     together = after[0].explained * granted.scale**2 + before[1].explained * space.scale**2
-    swapped = both.explained * space.beside(gear.columns.dense(len(own))).scale ** 2
+    swapped = both.explained * space.granting(gear.columns.dense(len(own))).scale ** 2
     assert swapped + before[0].explained * space.scale**2 == pytest.approx(together, rel=1e-6)  # in either order
-    assert space.beside(own[:, :0]) is space
+    assert space.granting(own[:, :0]) is space
 
 
 def test_what_needs_many_more_numbers_to_say_the_same_is_no_rival(simulated: Callable[..., Campaign]):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from offline_ik.inverse.detector import Detector
     from offline_ik.server.protocol import Speaker
 
-__all__ = ["LOOKING"]
+__all__ = ["PREVIEWS"]
 
 Array = npt.NDArray[np.float64]
 Given = Mapping[str, str]
@@ -85,5 +85,5 @@ def _pixel(speaker: Speaker, given: Given, session: Session) -> Reply | Later:
     return Later(work, lambda found: speaker.reply_of(*found))
 
 
-LOOKING: Mapping[str, Callable[[Speaker, Given, Session], Reply | Later]] = {"simulate": _simulate, "pixel": _pixel}
+PREVIEWS: Mapping[str, Callable[[Speaker, Given, Session], Reply | Later]] = {"simulate": _simulate, "pixel": _pixel}
 """What answers these requests."""
