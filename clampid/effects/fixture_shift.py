@@ -1,7 +1,7 @@
-"""The block that the flange is clamped to slips once, in the middle of a sweep, and stays where it has slipped to.
+"""The block to which the flange is clamped slips once, in the middle of a sweep, and stays in its new place.
 
-Later sweeps begin with the block where it is by then, and the posture at which each was clamped is unknown anyway: only
-the sweep in which it slipped shows it.
+The posture at which each sweep was clamped is unknown, so later sweeps do not show the slip. Only the sweep in which
+it happened identifies it.
 """
 
 from __future__ import annotations
