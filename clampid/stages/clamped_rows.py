@@ -1,4 +1,4 @@
-"""Rows of the clamping experiment: sweeps with what motions, springs and friction they show at a glance."""
+"""Rows of the clamping experiment: sweeps, with rough estimates of motion, compliance and friction."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def _stood(motor: Array, typical: Array, sweep: Integers, session: Integers) -> 
 def _kept_signs(motion: Array, used: Bools, stood: Bools, sweep: Integers) -> Array:
     """The side ``(sweeps, n)``, +1 or -1, of the friction that a motor keeps from the sweep before; 0 if not known.
 
-    It is that of its last motion, once friction had built up, as long as the motor has not moved since.
+    It is the side of the motor's last motion after friction had built up, if the motor has not moved since.
     """
     out = np.zeros(stood.shape)
     for s in range(1, len(stood)):
@@ -212,7 +212,7 @@ def loop_compliance(
 
 
 def loop_friction(motor: Array, measured: Array, motion: Array, used: Bools, sweep: Integers) -> Array:
-    """A rough dry friction of each motor ``(n,)``, Nm: half of how far the branches of its own loops are apart."""
+    """A rough dry friction of each motor ``(n,)``, Nm: half the distance between the branches of its own loops."""
     n = motor.shape[1]
     out = np.full(n, np.nan)
     for j in range(n):

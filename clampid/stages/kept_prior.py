@@ -1,4 +1,4 @@
-"""What is known of the friction that motors keep while the flange is clamped, before any row is seen."""
+"""Prior of the friction that motors at rest keep while the flange is clamped."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ LOOP_SHARE = 0.25  # of its friction: how exactly the loops of its last motion s
 def with_kept_friction(rows: Rows, first: int, precision: Array, mean: Array) -> tuple[Array, Array]:
     """A prior ``(P + K, P + K)``, ``(P + K,)`` with that of motors that stood still, offsets from ``first`` on.
 
-    A motor keeps its friction as long as it stands still, but for a little that creeps away: that of its last
-    motion, about as large as its own loops show it, or where it has not moved since the arm was clamped, any.
+    A motor at rest keeps its friction, except for a small creep. Its prior mean is the friction of its last motion,
+    known from its own loops; if the motor has not moved since the arm was clamped, the prior is wide.
     """
     sweep, n = rows.sweep, rows.robot.n
     keys = [(int(s), int(k)) for s, k in sweep.offset_keys]

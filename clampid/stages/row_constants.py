@@ -1,4 +1,4 @@
-"""What rows need beside their signals, such as reference frames, the run that they are of, and where these begin."""
+"""Constants of rows beside their signals, such as reference frames, the run of each row, and its start."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ class SeriesConstants(RowConstants):
         ``(K, 2)``, (run or sweep, joint from 0): an unknown constant of that joint in that run, which no other run
         shares; in sweeps (sweep, n + motor): the friction that a motor keeps while at rest.
     known_noise
-        ``(m,)``, SI: noise of each column as it is known without the model under test, inf where it is not; None: of
-        no column.
+        ``(m,)``, SI: noise of each column as known without the model under test, inf where unknown; None: unknown in
+        all columns.
     known_from
-        Where from: ``regression`` on rigid-body dynamics, or as the ``instrument``'s maker states it.
+        Source of that: ``regression`` on rigid-body dynamics, or the statement of the ``instrument``'s maker.
     """
 
     run: Integers = field(metadata=PER_ROW)
@@ -105,7 +105,7 @@ class SweepConstants(SeriesConstants):
     driven
         ``(N,)``: the joint that goes back and forth, from 0.
     wound
-        ``(N, n)``, rad: how far the joints are off the sweep's mean posture, by their motors.
+        ``(N, n)``, rad: joint angles from the motors, less the sweep's mean posture.
     reference
         ``(sweeps, n)``, rad: these postures.
     inverse_jacobian
