@@ -1,9 +1,8 @@
-"""What has been confirmed, step after step, and earlier steps that a later one makes needless.
+"""Confirmed steps, and the removal of earlier steps that a later one makes needless.
 
-A step is confirmed on top of those before it, by what was known then: a shape close to the true one may come first and
-the truth after it, which then explains what the first one did. Steps forward are therefore followed by steps back, as
-in stepwise regression. Source: Efroymson, Multiple regression analysis, in Mathematical Methods for Digital Computers,
-1960.
+A step is confirmed on top of those before it. A shape close to the true one may be confirmed first; the true one comes
+later and explains the same. So steps forward are followed by steps back, as in stepwise regression. Source: Efroymson,
+Multiple regression analysis, in Mathematical Methods for Digital Computers, 1960.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ __all__ = ["Confirmed", "with_needed_only"]
 
 @dataclass(frozen=True)
 class Confirmed:
-    """A step, the model and its errors on rows not fitted before it, and what was refused before it, as listed."""
+    """A step, the model and its held-out errors before it, and the candidates refused before it, as listed."""
 
     tried: Tried
     base: FittedStage
@@ -49,7 +48,7 @@ class Confirmed:
 
 
 def with_needed_only(bench: Bench, steps: Sequence[Confirmed], again: set[str]) -> list[Confirmed]:
-    """Drop earlier steps that, beside the last one, neither pay for their parameters nor lower the held-out error.
+    """Drop earlier steps that, with the last one, neither justify their parameters nor lower the held-out error.
 
     Parameters
     ----------
