@@ -22,24 +22,24 @@ SEARCH_ROUNDS = 8
 
 @dataclass(frozen=True)
 class Searched:
-    """What a search has found.
+    """The result of a search.
 
     Attributes
     ----------
     before
-        Errors of the first fit on rows that it has not seen.
+        Held-out errors of the first fit.
     first_look
-        At what the first fit leaves.
+        Scores on the residual of the first fit.
     steps
-        What was confirmed.
+        Confirmed steps.
     taken
-        Groups of candidates that these rows cannot distinguish, of which the model has one since.
+        Groups of candidates that these rows cannot distinguish, one of which was added to the model.
     undecided
-        Such groups, of which it has none.
+        Such groups without a member in the model.
     refused
-        What was refused in the last round, as listed.
+        Candidates refused in the last round, as listed.
     fitted, held_out, scores
-        The last fit, its errors on rows that it has not seen, and the scores on what it leaves.
+        The last fit, its held-out errors, and the scores on its residual.
     """
 
     before: HeldOut
@@ -54,11 +54,11 @@ class Searched:
 
 
 def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
-    """Look for what a fit lacks; parts of runs to hold out instead, where whole runs would not test a candidate.
+    """Search for missing effects; returns parts of runs to hold out instead if whole runs would not test a candidate.
 
-    Of candidates that these rows cannot distinguish the model takes one where it makes no difference which, and the
-    search goes on: what it leaves would else hide other effects. Of poses it takes none: what is one model on these
-    places the flange differently at others.
+    If these rows cannot distinguish candidates whose predictions are the same everywhere, one of them is added and the
+    search goes on; otherwise their residual would hide other effects. In poses none is added: models that agree on
+    these poses give other flange positions elsewhere.
     """
     rows, effects = fitted.estimate.problem.rows, bench.effects
     scores = bench.scores(fitted, 0)
@@ -94,6 +94,6 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
 
 
 def _on_trial(scores: CandidateScores, refused: Sequence[Tried] = ()) -> list[Candidate]:
-    """The candidates that come to trial: the best name of some scores, and those that were refused after it."""
+    """The candidates on trial: the best name of some scores, and those that were refused after it."""
     best = scores.best()
     return [*([] if best is None else [best.candidate]), *(t.best.candidate for t in refused)]

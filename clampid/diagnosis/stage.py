@@ -1,4 +1,4 @@
-"""The diagnosis of one stage: what a search has found, set down as a verdict with its evidence."""
+"""The diagnosis of one stage: the result of a search as a verdict with its evidence."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from clampid.stages.stage_kind import kind_of
 
 __all__ = ["diagnose_stage"]
 
-FAR_OFF = 2.0  # of what may be noise: so much is none, even if the makers of instrument and robot were optimists
+FAR_OFF = 2.0  # of the largest plausible noise: more is not noise, even if the stated accuracies are optimistic
 
 Propose = Callable[[Estimate, Sequence[Scored], float], NextPlan | None]
 
@@ -55,7 +55,7 @@ def diagnose_stage(fitted: FittedStage, bench: Bench, propose: Propose | None = 
     Parameters
     ----------
     bench
-        What every trial needs: effects, other fits, rows to verify by, seeds.
+        Inputs of every trial: effects, other fits, rows to verify by, seeds.
     propose
         Looks for measurements that separate candidates, given the fit, the candidates and the residual's scale.
     """
@@ -82,17 +82,16 @@ def _warn(result: StageDiagnosis, sentence: str) -> None:
 
 
 def _searched(fitted: FittedStage, bench: Bench) -> tuple[Bench, Searched]:
-    """What a search finds, and the bench with the parts of the rows by which it was judged.
+    """The result of a search, and the bench with the parts of the rows that were held out.
 
-    Where a candidate comes to trial that whole runs would not test, everything is judged by parts of runs instead, from
-    the start.
+    If whole runs would not test a candidate on trial, the search starts again with parts of runs held out.
     """
     outcome = search(bench, fitted)
     return _searched(fitted, replace(bench, folds=outcome)) if isinstance(outcome, Folds) else (bench, outcome)
 
 
 def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Propose | None) -> StageDiagnosis:
-    """The verdict on what was searched, with its evidence."""
+    """The verdict on a search, with its evidence."""
     stage, effects, floor = fitted.estimate.problem.stage, bench.effects, bench.floor
     verification, seed = bench.verification, bench.seed
     result = StageDiagnosis(stage, kind_of(stage).error_unit)
@@ -143,7 +142,7 @@ def _set_down(
     effects: dict[str, Effect],
     estimate: Estimate,
 ) -> list[dict[str, Any]]:
-    """Set down what was confirmed; what was refused, in the ``last`` round too, and never confirmed is given back."""
+    """Record the confirmed steps; return the refused candidates, those of the ``last`` round too, not confirmed."""
     for confirmed in steps:
         entry = confirmed.entry(effects, estimate)
         result.candidates.append(entry)
@@ -159,7 +158,7 @@ def _set_down(
 def _in_words(
     result: StageDiagnosis, scores: CandidateScores, source: str, rows: Rows, effects: dict[str, Effect], few: float
 ) -> None:
-    """Set down the verdict in words, with what an error above the floor may be, and joints seen from one side only."""
+    """Record the verdict in words, with reasons for an error above the floor, and joints approached from one side."""
     if result.verdict in ("adequate", "missing"):
         result.floor_excess = excess_over_floor(
             result.after, result.noise_floor, source, len(result.outliers), scores.free, few
@@ -175,7 +174,7 @@ def _in_words(
 def _undecided(
     result: StageDiagnosis, outcome: Searched, effects: dict[str, Effect], bench: Bench, propose: Propose | None
 ) -> None:
-    """Set down candidates that these rows cannot distinguish, the first group first, and what would part that."""
+    """Record candidates that these rows cannot distinguish, and a measurement that distinguishes the first group."""
     result.verdict = "ambiguous"
     fitted, taken = outcome.fitted, {id(t.group): t for t in outcome.taken}
     groups = [*(t.group for t in outcome.taken), *outcome.undecided]
@@ -212,7 +211,7 @@ def _undecided(
 
 
 def _unknown(result: StageDiagnosis, scores: CandidateScores, estimate: Estimate, seed: int) -> None:
-    """Set down that something is left which no name explains, and on what it depends and how, if a probe tells."""
+    """Record that no name explains the rest, with its variables and shape if a probe is significant."""
     result.verdict = "unknown"
     result.depends_on = variables_of(scores) if scores.fires else []
     result.considered = with_stand_ins(result.considered, scores) + considered_of(scores.free, scores.free_null, 5)

@@ -1,4 +1,4 @@
-"""What a trial of candidates ends in: one with its fit, several that rows cannot separate, or one of those taken."""
+"""Outcomes of a trial: one candidate with its fit, several that the rows cannot distinguish, or one of those taken."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ ONE = 1.0  # what chance explains by one number, in units of the residual's vari
 
 @dataclass(frozen=True)
 class Tried:
-    """A candidate with its fit, and how it did on rows that the fit has not seen.
+    """A candidate with its fit and its held-out errors.
 
     Attributes
     ----------
     reason
         Why it is refused; empty if it is not.
     confusable
-        Of what is not refused, other effects that share most of its columns, as the contract lists them.
+        If it is not refused, other effects that are most correlated with it, as the contract lists them.
     """
 
     best: Scored
@@ -69,7 +69,7 @@ class Undecided:
     scores: CandidateScores
 
     def alike(self, effects: Mapping[str, Effect], elsewhere: Collection[Stage]) -> bool:
-        """Whether it makes no difference which it is: they explain the same, and no rows of other stages read any."""
+        """Whether their predictions are the same everywhere: they explain the same, and no other stage reads them."""
         first, *others = self.members
         for s in others:
             both = explained_together(self.scores.space, first, s)
@@ -78,15 +78,15 @@ class Undecided:
         return not any(set(elsewhere) & set(stages_with(effects[s.candidate.name])) for s in self.members)
 
     def taken(self, effects: Mapping[str, Effect]) -> Undecided:
-        """The same, first one that acts in no pose, if there is any: a model of torques is to move no flange."""
+        """The same, with one that does not act in poses first, if there is any: torques should not move the flange."""
         order = sorted(self.members, key=lambda s: acts_with(effects[s.candidate.name], "points"))
         return replace(self, members=order)
 
 
 class Taken(NamedTuple):
-    """Undecided candidates of which a model has the first, since it makes no difference which of them it is.
+    """Undecided candidates with the same predictions everywhere, of which a model has the first.
 
-    ``base`` and ``before``: the model and its errors on rows not fitted without it; ``after``: how many steps it came.
+    ``base`` and ``before``: the model and its held-out errors without it; ``after``: number of steps before it.
     """
 
     group: Undecided
