@@ -219,8 +219,7 @@ class Bench:
         The plain error must fall as well: whitened errors of a log emphasise brief effects, and alone they would
         confirm effects that raise the printed error.
 
-        An effect that only a prior identifies, such as an undeclared tool that the links' masses can absorb, need not
-        lower the held-out error; it must not raise it.
+        An effect that only a prior identifies, such as an undeclared tool, need not lower the held-out error.
         """
         effect = self.effects[best.candidate.name]
         if effect.event is not None:

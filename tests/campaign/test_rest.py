@@ -27,7 +27,7 @@ def test_a_joint_that_never_rests_gets_two_per_cent_of_its_top_speed() -> None:
     assert rest_threshold(speed)[0] == pytest.approx(0.02 * np.abs(speed).max(), rel=1e-9)
 
 
-def test_held_signs_do_not_flip_at_rest() -> None:
+def test_carried_signs_do_not_flip_at_rest() -> None:
     speed, time = np.flipud(mostly_resting(0.9)), 0.004 * np.arange(40_000)  # moves first, then rests
     position = np.cumsum(speed, axis=0) * 0.004
     sign = carried_sign(speed, rest_threshold(speed), np.zeros(len(speed), dtype=np.int64), position, time)

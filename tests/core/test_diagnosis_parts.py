@@ -98,7 +98,7 @@ def test_what_is_granted_to_the_model_is_no_evidence(simulated: Callable[..., Ca
     assert space.granting(own[:, :0]) is space
 
 
-def test_what_needs_many_more_numbers_to_say_the_same_is_no_rival(simulated: Callable[..., Campaign]):
+def test_an_effect_with_many_more_parameters_is_no_rival(simulated: Callable[..., Campaign]):
     campaign = simulated(seed=7, poses=60, tables=("poses",))
     estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
     rows = len(estimate.whitened.residual)
@@ -171,7 +171,7 @@ def test_a_column_of_next_to_nothing_is_absent(simulated: Callable[..., Campaign
     assert score(space_of(estimate), [faint])[0].state == "absent"
 
 
-def test_what_would_raise_the_error_of_other_rows_is_refused_without_a_fit(simulated: Callable[..., Campaign]):
+def test_candidates_raising_the_held_out_error_are_refused_without_a_fit(simulated: Callable[..., Campaign]):
     """One of noise is not fitted; the true one is, from where a Gauss-Newton step leads."""
     campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
     model = identify(campaign, {"poses": ("geometry", "joint_compliance")})
@@ -225,7 +225,7 @@ def test_a_step_that_goes_uphill_is_not_believed(simulated: Callable[..., Campai
     assert not uphill.linear
 
 
-def test_look_alikes_of_which_none_lowers_the_error_of_other_rows_are_no_tie(simulated: Callable[..., Campaign]):
+def test_correlated_candidates_that_do_not_lower_the_held_out_error_are_no_tie(simulated: Callable[..., Campaign]):
     """They are refused with their sizes; a true one among them makes it a tie."""
     campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
     model = identify(campaign, {"poses": ("geometry", "joint_compliance")})

@@ -125,7 +125,7 @@ def test_a_reflection_that_does_not_fit_is_named(wrong: int) -> None:
     assert np.allclose(got.std, right.std * got.misfit, rtol=0.02)
 
 
-def test_with_one_reflection_to_spare_nobody_can_tell_which_is_wrong() -> None:
+def test_one_redundant_reflection_does_not_identify_the_wrong_one() -> None:
     points, angles = rays(PLACES[:4], np.array(CONVENTION.sample))
     angles[2] += 40 * SIGMA
     got = sample_position(CONVENTION, [Reflection(p, a, SIGMA) for p, a in zip(points, angles, strict=True)])
