@@ -108,7 +108,7 @@ class Parameter:
         Not an amplitude: it has a start value and a grid, and means nothing while the amplitudes are zero.
     grid
         The values of a shape parameter that a search visits; the first is its start.
-    held
+    fixed
         Where a fit keeps it at its start: ``everywhere``, because it is chosen and not measured, or at the ``first`` of
         its places, because the others count from there.
     share
@@ -128,7 +128,7 @@ class Parameter:
     shape: bool = False
     grid: tuple[float, ...] = ()
     spread: float = WEAK_SPREAD
-    held: Literal["nowhere", "first", "everywhere"] = "nowhere"
+    fixed: Literal["nowhere", "first", "everywhere"] = "nowhere"
     gearing: int = 0
     share: bool = False
     moment: float = 0.0

@@ -171,8 +171,8 @@ def fixed_slots(slots: Sequence[Slot], catalogue: Mapping[str, Effect]) -> list[
     seen: set[tuple[str, str]] = set()
     out = []
     for slot in slots:
-        held = find_parameter(slot, catalogue).held
-        out.append(held == "everywhere" or (held == "first" and (slot.effect, slot.parameter) not in seen))
+        fixed = find_parameter(slot, catalogue).fixed
+        out.append(fixed == "everywhere" or (fixed == "first" and (slot.effect, slot.parameter) not in seen))
         seen.add((slot.effect, slot.parameter))
     return out
 
@@ -183,7 +183,7 @@ def on_bound(slot: Slot, value: float, catalogue: Mapping[str, Effect]) -> bool:
     Zero, the usual limit, is the same for every gear.
     """
     parameter = find_parameter(slot, catalogue)
-    return not parameter.shape and parameter.held == "nowhere" and value in parameter.bounds
+    return not parameter.shape and parameter.fixed == "nowhere" and value in parameter.bounds
 
 
 def slots_of_terms(

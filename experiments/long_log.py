@@ -111,8 +111,8 @@ def read_long(path: Path, layout: TableFormat, n: int) -> tuple[LongLog, pd.Data
             if len(part):
                 own.append(part)
     span = ends[1] - ends[0]
-    told = warmth if np.isfinite(warmth[0]) else None
-    whole = LongLog(table, len(known), float(span[0]), span[1:], told, stretches)
+    known_warmth = warmth if np.isfinite(warmth[0]) else None
+    whole = LongLog(table, len(known), float(span[0]), span[1:], known_warmth, stretches)
     return whole, _joined([pd.concat(own, ignore_index=True) for own in kept])
 
 

@@ -108,8 +108,8 @@ def _fixed(value: float) -> str:
 def _errors(names: str, errors: Iterable[float] | None, scale: Array) -> str:
     """Standard errors as a remark behind the line, in the units of the line."""
     scaled = np.full(len(names), np.nan) if errors is None else np.asarray(errors) * scale
-    told = [f"{name} {error:.2g}".strip() for name, error in zip(names, scaled, strict=True) if np.isfinite(error)]
-    return f" ; std {', '.join(told)}" if told else ""
+    listed = [f"{name} {error:.2g}".strip() for name, error in zip(names, scaled, strict=True) if np.isfinite(error)]
+    return f" ; std {', '.join(listed)}" if listed else ""
 
 
 def _one(text: str, pattern: str, variable: str) -> str:

@@ -177,9 +177,9 @@ def undetermined(touches: Touches, base: Array) -> list[str]:
     # Motion as turn (times size) and as velocity of the touched points' middle, base axes.
     to_own = np.block([[np.eye(3) / size, np.zeros((3, 3))], [hat3(middle) / size, np.eye(3)]])
     _, singular, Vt = np.linalg.svd(J @ to_own)
-    told = np.zeros(6)
-    told[: len(singular)] = singular
-    N = Vt[told < BLIND * told.max()]  # (k, 6)
+    gain = np.zeros(6)
+    gain[: len(singular)] = singular
+    N = Vt[gain < BLIND * gain.max()]  # (k, 6)
     if not len(N):
         return []
     U, turning, _ = np.linalg.svd(N[:, :3])

@@ -291,7 +291,7 @@ def build_chain(
 
 
 def _held(slot: Slot, effects: Mapping[str, Effect]) -> bool:
-    return effects[slot.effect].by_name[slot.parameter].held == "everywhere"
+    return effects[slot.effect].by_name[slot.parameter].fixed == "everywhere"
 
 
 def least_deciding(slots: Sequence[Slot], effects: Mapping[str, Effect]) -> Array:

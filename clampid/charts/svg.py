@@ -42,9 +42,9 @@ def standalone(chart: Chart) -> str:
 
 def _drawing(chart: Chart, key: str, label: str, style: str) -> str:
     name = f' id="{escape(key)}"' if key else ""
-    told = f' role="img" aria-label="{escape(label)}"' if label else ""
+    role = f' role="img" aria-label="{escape(label)}"' if label else ""
     size = f'viewBox="0 0 {WIDTH:g} {chart.height:g}"'
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" class="chart"{name} {size}{told}>{style}'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" class="chart"{name} {size}{role}>{style}'
     body = [_panel(panel, box) for panel, box in placed(chart) if panel.marks or panel.title]
     if chart.below:
         text = f'<text class="middle below" x="{chart.left + (WIDTH - chart.left) / 2:g}" y="{chart.height - 6:g}">'

@@ -313,7 +313,7 @@ def _refitted(
     known = model.values()
     values = np.array([known.get(s, 0.0) for s in slots])
     fixed = tuple(s for s in slots if s not in moved)
-    # What is not fitted anew is held where the model has it, as tightly as numbers allow.
+    # What is not fitted anew is fixed where the model has it, as tightly as numbers allow.
     trial = fit_problem(rows.take(~out), opened.effects, slots, model.lean)
     size = trial.sizes()[: len(fixed)]
     prior = Prior(fixed, values[: len(fixed)], np.diag((1e-7 * size) ** 2))

@@ -77,7 +77,7 @@ def refuse_few_flips(flips: int) -> None:
 
 @dataclass(frozen=True)
 class CandidateScores:
-    """The scores of both dictionaries on what a fit leaves, with their nulls.
+    """The scores of both dictionaries on a fit's residual, with their null distributions.
 
     ``wander``: by how much the noise that they are judged by wanders, variance per step over that of a number
     (:mod:`clampid.diagnosis.wandering`).
@@ -93,39 +93,39 @@ class CandidateScores:
     wander: float = 0.0
 
     def best(self, rejected: Collection[str] = ()) -> Scored | None:
-        """The best name that stands out of its null, but for the labels of those rejected; None if none does."""
+        """The best significant name, except those whose labels are rejected; None if there is none."""
         best = _best([s for s in self.named if s.candidate.label not in rejected], self.named_null)
         return (
             best if best is not None and self.named_null.p_familywise(best.log_p) <= DICTIONARY_FALSE_ALARMS else None
         )
 
     def standing_out(self, rejected: Collection[str] = ()) -> list[Scored]:
-        """All names that stand out of their null and pay for their numbers, but for the labels of those rejected."""
+        """All significant names whose BIC justifies their parameters, except those whose labels are rejected."""
         return [s for s in _standing_out(self.named, self.named_null) if s.candidate.label not in rejected]
 
     @property
     def clearest(self) -> list[Scored]:
-        """The best name and the best probe that stand out, of those there are."""
+        """The best significant name and the best significant probe, as far as there are any."""
         named, probe = self.best(), self.probe if self.fires else None
         return [s for s in (named, probe) if s is not None]
 
     @property
     def remembered(self) -> CandidateScores:
-        """What a verdict says of it later, without what is as large as its rows."""
+        """The part that a verdict needs later, without arrays of the size of the rows."""
         named = [replace(s, candidate=s.candidate.remembered) for s in self.named]
         return replace(self, space=self.space.remembered, named=named, free=[], folds=self.folds[:0].copy())
 
     @property
     def fires(self) -> bool:
-        """Whether the best probe stands out of its null."""
+        """Whether the best probe is significant."""
         return self.probe is not None and self.free_null.p_familywise(self.probe.log_p) <= DICTIONARY_FALSE_ALARMS
 
     def only_stands_in(self, best: Scored) -> bool:
-        """Whether a name only stands in for something else, which a probe says better.
+        """Whether a name only absorbs a part of another error, which a probe describes better.
 
-        It explains so much less than the probe, and nothing beside it: of errors of several joints a name may say one,
-        and the probe another; and of two effects, which two names say together, a flexible probe may say much at once.
-        Or it can follow nearly anything, and the probe is a simple one.
+        It explains much less than the probe, and nothing once the probe is in the model. (With errors of several
+        joints a name may explain one and the probe another; and a flexible probe may explain much of two effects that
+        need two names.) Or the name can follow nearly any error, and the probe is a simple one.
         """
         if not self.fires or self.probe is None or self.probe.bic - best.bic <= SAME:
             return False
@@ -150,9 +150,9 @@ def scores_of(
     block: int = 1,
     wander: float = 0.0,
 ) -> CandidateScores:
-    """Score both dictionaries on what a fit leaves, with their nulls.
+    """Score both dictionaries on a fit's residual, with their null distributions.
 
-    Where a reading wanders beside what stands out, everything is scored again as what it adds to the wandering
+    If readings wander in addition to the significant candidates, all are scored again with wandering noise
     (:mod:`clampid.diagnosis.wandering`).
 
     Parameters
@@ -160,7 +160,7 @@ def scores_of(
     flips, seed
         How many sign flips make a null, and their stream; the probes' is the next one.
     granted
-        Candidates that are not fitted, and what they could explain is no evidence of anything else.
+        Candidates that are not fitted; what they could explain is not counted as evidence of other candidates.
     block
         Of poses: how many consecutive visits the null flips together.
     wander
@@ -188,7 +188,7 @@ def _scores_of(
     estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int, granted: Sequence[Candidate], block: int
 ) -> CandidateScores:
     """The same with the noise that the estimate has."""
-    space = space_of(estimate, blocks_of_visits(estimate.problem.rows, block)).beside(columns_of(estimate, granted))
+    space = space_of(estimate, blocks_of_visits(estimate.problem.rows, block)).granting(columns_of(estimate, granted))
     free = score(space, probes(estimate))
     free_null = flip_maxima(space, free, flips, seed + 1)
     free = [s.remembered for s in free]
@@ -207,10 +207,10 @@ def _scores_of(
 
 
 def _best(scored: Sequence[Scored], null: Flips) -> Scored | None:
-    """The first of those that stand out of their null and pay for their numbers; where none does, the first of all.
+    """The first significant candidate whose BIC justifies its parameters; if there is none, the first of all.
 
-    Not all rows have the noise that the score takes them to have: what acts where there is more of it explains much by
-    chance, as its own flips say, and is not to stand before what does not.
+    The noise of some rows is larger than the score assumes. A candidate that acts there explains much by chance, as its
+    own sign flips show, and must not precede a significant one.
     """
     able = [s for s in scored if s.freedom and s.state in ABLE]
     chosen = _standing_out(able, null) or able
@@ -224,7 +224,7 @@ def _standing_out(scored: Sequence[Scored], null: Flips) -> list[Scored]:
 
 
 def _without_weight(s: Scored, effects: Mapping[str, Effect], rows: Rows) -> bool:
-    """Whether it would hold the weight at joints that bear none in any row."""
+    """Whether it would carry weight at joints that are unloaded in all rows."""
     if not effects[s.candidate.name].holds_weight:
         return False
     bears = np.abs(rows.signals["regressor"]).max(axis=(0, 2), initial=0.0)
@@ -233,7 +233,7 @@ def _without_weight(s: Scored, effects: Mapping[str, Effect], rows: Rows) -> boo
 
 
 def _plausible(s: Scored, effects: Mapping[str, Effect], robot: RobotDescription, scale: float) -> bool:
-    """Whether what the score makes of the parameters is something they can be: of a possible size and sign."""
+    """Whether the score's estimates of the parameters have a possible size and sign."""
     value, spread = s.value, SURE * scale * s.spread
     parameters = [parameter_of(slot, effects, robot) for slot in s.candidate.slots]
     if any(abs(v) - sd > IMPOSSIBLE * p.size for p, v, sd in zip(parameters, value, spread, strict=True)):
@@ -249,7 +249,7 @@ def _plausible(s: Scored, effects: Mapping[str, Effect], robot: RobotDescription
 
 
 def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Collection[str]) -> list[Scored]:
-    """Other effects, or other places, that explain as well what the best one does."""
+    """Other effects, or the same at other places, that explain the residual as well as the best one."""
     found: dict[tuple[str, tuple[str, ...]], Scored] = {}
     behind: list[Scored] = []
     mine, there = set(best.candidate.terms), set(best.candidate.places)
@@ -288,17 +288,17 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
 
 
 def variants_of(named: Sequence[Scored], best: Scored) -> list[Scored]:
-    """Other variants of the best candidate, at the same places, that explain much of the same."""
+    """Other variants of the best candidate, at the same places, whose columns have much in common with it."""
     mine = best.candidate
     own = [s for s in named if s.candidate.name != mine.name and s.candidate.is_variant_of(mine)]
     return _alike(own, best, lambda c: c.name)
 
 
 def simplest_of(named: Sequence[Scored], best: Scored) -> Scored:
-    """The best candidate, or the variant of it with the fewest numbers, if the others explain no more than by chance.
+    """The best candidate, or its variant with the fewest parameters if the others explain no more than by chance.
 
-    Where no fit decides between variants, a drift is named only if it is seen: that its size explains something beside
-    the offset it comes with, chance does once in a hundred times.
+    Where no fit decides between variants, a drift is named only if it is significant in addition to its offset, at a
+    level of 1 %.
     """
     own = [s for s in named if s.candidate.is_variant_of(best.candidate) and s.state in ABLE and s.bic > 0]
     simpler = [
@@ -312,7 +312,7 @@ def simplest_of(named: Sequence[Scored], best: Scored) -> Scored:
 
 
 def of_other_families(named: Sequence[Scored], best: Scored, rejected: Collection[str]) -> list[Scored]:
-    """What shares most with the best candidate and is of another family: the best of each, whatever its score."""
+    """The most correlated candidates of other families: the best of each family, at any score."""
     mine = best.candidate
     others = [s for s in named if s.candidate.family != mine.family and not s.candidate.is_variant_of(mine)]
     return _alike([s for s in others if s.candidate.label not in rejected], best, lambda c: c.family, SHARED)
@@ -321,7 +321,7 @@ def of_other_families(named: Sequence[Scored], best: Scored, rejected: Collectio
 def _alike(
     scored: Sequence[Scored], best: Scored, kind: Callable[[Candidate], str], above: float = CONFUSABLE
 ) -> list[Scored]:
-    """Of those that explain much of the same as the best one and pay for their numbers, the first of each kind."""
+    """The first of each kind among the candidates correlated with the best one whose BIC justifies their parameters."""
     found: dict[str, Scored] = {}
     for other in sorted(scored, key=lambda s: -s.bic):
         if other.state in ABLE and other.bic > 0 and canonical(best, other) > above:

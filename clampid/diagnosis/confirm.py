@@ -1,8 +1,8 @@
-"""Confirmation on rows that a candidate was not chosen on.
+"""Confirmation of a candidate on held-out rows.
 
-Stability: in each of five parts the candidate is selected again from the other four. Held-out falls: unit by unit, by
-how much the squared error falls once the candidate is fitted, on a verification table or by cross-validation; a
-one-sided sign flip says whether that is more than chance.
+Stability: for each of five parts the candidate must be selected again from the other four. Fall of the held-out error:
+the squared error with and without the candidate, unit by unit, on a verification table or by cross-validation; a
+one-sided sign-flip test decides whether the fall is significant.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ FLIPS = 999
 
 @dataclass(frozen=True)
 class Fall:
-    """By what share of themselves whitened squared errors of rows not fitted fall, and the one-sided p of that.
+    """Relative fall of the whitened squared errors of held-out rows, and its one-sided p.
 
-    ``error``: the share's standard error, from what the units fall by.
+    ``error``: standard error of that share, from the scatter between units.
     """
 
     p: float
@@ -53,7 +53,7 @@ class Fall:
 
 
 def first_without_parts(space: Space, scored: Sequence[Scored], fold: Integers, seed: int) -> list[Scored]:
-    """The candidate that is first without each of five parts of the rows.
+    """The best candidate without each of five parts of the rows.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def first_without_parts(space: Space, scored: Sequence[Scored], fold: Integers, 
 def stability(first: Sequence[Scored], chosen: Sequence[Scored]) -> float:
     """Share of the parts without which a candidate, or one of its own effect, is :func:`first_without_parts`.
 
-    Of several candidates: that any of them is.
+    Of several candidates: the share for any of them.
     """
     return float(np.mean([any(same_effect(s, c) for c in chosen) for s in first])) if first else 0.0
 
@@ -108,7 +108,7 @@ def held_out_p(before: Array, after: Array, unit: Integers, seed: int) -> float:
 
 
 def probe_held_out_fall(estimate: Estimate, verification: Rows, probe: Candidate, seed: int) -> Fall:
-    """What a pose probe, fitted along in one linear step, brings on a verification table."""
+    """Fall of the errors of a verification table by a pose probe, fitted in one linear step."""
     rows = estimate.problem.rows
     both = join_rows([rows, verification])
     joined = estimate.problem.with_rows(both)
@@ -138,7 +138,7 @@ def probe_held_out_fall(estimate: Estimate, verification: Rows, probe: Candidate
 
 
 def _fall(before: Array, after: Array, unit: Integers, seed: int) -> Fall:
-    """What squared errors ``(N,)`` fall by from before to after."""
+    """Fall of the squared errors ``(N,)`` from before to after."""
     _, index = np.unique(unit, return_inverse=True)
     whole, total = np.bincount(index, before), max(float(np.sum(before)), 1e-300)
     share = float(np.sum(before - after)) / total
@@ -153,7 +153,7 @@ def _assumed(candidate: Candidate) -> Array:
 
 
 def cross_fitted_fall(estimate: Estimate, s: Scored, seed: int) -> Fall:
-    """What a candidate brings where it is fitted on the other four fifths of the units.
+    """Fall of the errors by a candidate that is fitted on the other four fifths of the units.
 
     Linear in all parameters about the estimate; for stages that have no verification table.
     """
@@ -167,9 +167,9 @@ def cross_fitted_fall(estimate: Estimate, s: Scored, seed: int) -> Fall:
 
 
 def event_p(estimate: Estimate, name: str, seed: int) -> float:
-    """The same of an event that an estimate has, each fifth of the blocks judged by what the others say of it.
+    """The same for an event in an estimate: each fifth of the blocks is predicted by the others.
 
-    By the noise that is left with the event: without it, the noise is taken for so lasting that a step is one row's.
+    Uses the noise of the fit with the event. Without the event its step looks like strongly correlated noise.
     """
     return _own_p(estimate, [k for k, slot in enumerate(estimate.slots) if slot.effect == name], seed)
 
@@ -183,7 +183,7 @@ def terms_p(estimate: Estimate, terms: Sequence[Term], seed: int) -> float:
 
 
 def _own_p(estimate: Estimate, numbers: Sequence[int], seed: int) -> float:
-    """One-sided p of what some of an estimate's parameters bring, units predicted by the other four fifths."""
+    """One-sided p of the fall by some of an estimate's parameters; units are predicted by the other four fifths."""
     white, count = estimate.whitened, len(estimate.theta)
     own = np.array(numbers, dtype=int)
     order = np.r_[np.setdiff1d(np.arange(count), own), own]
@@ -197,7 +197,7 @@ def _own_p(estimate: Estimate, numbers: Sequence[int], seed: int) -> float:
 
 
 def _cross_fitted(J: Array, r: Array, precision: Array, moment: Array, unit: Integers, first: int, seed: int) -> Fall:
-    """What the columns from ``first`` on bring, units ``(M,)`` predicted by the other four fifths."""
+    """Fall by the columns from ``first`` on; units ``(M,)`` are predicted by the other four fifths."""
     names = np.unique(unit)
     part = (np.random.default_rng(seed).permutation(len(names)) % FOLDS)[np.searchsorted(names, unit)]
     gram = J.T @ J + precision

@@ -1,9 +1,8 @@
-"""What has been confirmed, step after step, and earlier steps that a later one makes needless.
+"""Confirmed steps, and the removal of earlier steps that a later one makes needless.
 
-A step is confirmed on top of those before it, by what was known then: a shape close to the true one may come first and
-the truth after it, which then explains what the first one did. Steps forward are therefore followed by steps back, as
-in stepwise regression. Source: Efroymson, Multiple regression analysis, in Mathematical Methods for Digital Computers,
-1960.
+A step is confirmed on top of those before it. A shape close to the true one may be confirmed first; the true one comes
+later and explains the same. So steps forward are followed by steps back, as in stepwise regression. Source: Efroymson,
+Multiple regression analysis, in Mathematical Methods for Digital Computers, 1960.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ __all__ = ["Confirmed", "with_needed_only"]
 
 @dataclass(frozen=True)
 class Confirmed:
-    """A step, the model and its errors on rows not fitted before it, and what was refused before it, as listed."""
+    """A step, the model and its held-out errors before it, and the candidates refused before it, as listed."""
 
     tried: Tried
     base: FittedStage
@@ -49,7 +48,7 @@ class Confirmed:
 
 
 def with_needed_only(bench: Bench, steps: Sequence[Confirmed], again: set[str]) -> list[Confirmed]:
-    """Drop earlier steps that, beside the last one, neither pay for their parameters nor lower the held-out error.
+    """Drop earlier steps that, with the last one, neither justify their parameters nor lower the held-out error.
 
     Parameters
     ----------
@@ -64,11 +63,11 @@ def with_needed_only(bench: Bench, steps: Sequence[Confirmed], again: set[str]) 
         slim = needless(last.tried.fitted, earlier.tried.kept, bench.refit)
         if slim is None:
             continue
-        without, now = bench.held_out(slim), last.tried.held
+        without, now = bench.held_out(slim), last.tried.held_out
         if without.p_above(now, now.noise, bench.seed) <= HELD_OUT_RATE:
             continue
         again.add(earlier.label)
-        kept = _without(bench, kept, earlier, replace(last.tried, fitted=slim, held=without))
+        kept = _without(bench, kept, earlier, replace(last.tried, fitted=slim, held_out=without))
     return kept
 
 
@@ -81,13 +80,13 @@ def _carries(bench: Bench, earlier: Confirmed, steps: Sequence[Confirmed]) -> bo
 def _without(bench: Bench, steps: Sequence[Confirmed], dropped: Confirmed, last: Tried) -> list[Confirmed]:
     """The steps without one of them: those between it and the last one are fitted again on top of what was before."""
     at = steps.index(dropped)
-    out, base, held = list(steps[:at]), dropped.base, dropped.before
+    out, base, held_out = list(steps[:at]), dropped.base, dropped.before
     for step in steps[at + 1 : -1]:
         fitted = bench.refit([*base.model.terms, *step.tried.kept], step.tried.fitted, {})
-        tried = replace(step.tried, fitted=fitted, held=bench.held_out(fitted))
-        out.append(replace(step, tried=tried, base=base, before=held))
-        base, held = fitted, tried.held
+        tried = replace(step.tried, fitted=fitted, held_out=bench.held_out(fitted))
+        out.append(replace(step, tried=tried, base=base, before=held_out))
+        base, held_out = fitted, tried.held_out
     reason = f"it does not lower the held-out error once {last.best.candidate.label} is in the model"
     gone = dropped.tried.refusal(bench.effects, dropped.before, reason)
     refused = (*dropped.refused, *steps[-1].refused, gone)
-    return [*out, replace(steps[-1], tried=last, base=base, before=held, refused=refused)]
+    return [*out, replace(steps[-1], tried=last, base=base, before=held_out, refused=refused)]

@@ -1,8 +1,8 @@
 """Dependences by name: which variables and places an effect of unknown physics may have, stage by stage.
 
-A dependence is what a verdict says when no known effect explains what is left: variables by their column names without
-unit (``q4``, ``dir4``, ``time``) and a place (``joint5``, ``base``). It becomes an effect file by
-:func:`clampid.diagnosis.effect_new.effect_text`.
+If no known effect explains the residual, the verdict names a dependence: variables by their column names without unit
+(``q4``, ``dir4``, ``time``) and a place (``joint5``, ``base``). :func:`clampid.diagnosis.effect_new.effect_text` makes
+an effect file of it.
 """
 
 from __future__ import annotations

@@ -44,9 +44,9 @@ class Diagnosis(Shown):
     Attributes
     ----------
     compensation
-        Mistakes of the controller's own compensation that were measured along, by name; None where none shows.
+        Errors of the controller's own compensation that the poses contain, by name; None where none shows.
     simpler
-        Stage → effects that say with one curve what the model, with what was found missing, says with several.
+        Stage → effects that replace several curves of the model, with its missing effects added, by one curve.
     """
 
     stages: Mapping[Stage, StageDiagnosis]
@@ -58,7 +58,7 @@ class Diagnosis(Shown):
         return headline(self.to_json()["stages"])
 
     def findings(self) -> list[str]:
-        """What a person must know beside the verdict."""
+        """Notes that a person must know beside the verdict."""
         return [note for name, part in self.to_json()["stages"].items() for note in notes(name, part)]
 
     def records(self) -> list[dict[str, Any]]:
@@ -90,11 +90,11 @@ def diagnose(
     stages: Sequence[Stage] | None = None,
     plan_for: Sequence[str] | None = None,
 ) -> Diagnosis:
-    """Find out where a model fails on a campaign, or on several at once, and which effect is missing.
+    """Find where a model fails on a campaign, or on several at once, and which effect is missing.
 
-    The model's active effects are fitted to the campaigns first, so that what they can absorb is no evidence. A stage
-    takes loads, frictions and springs from the stages before it, with the effects that were found missing there.
-    Where effects of an earlier stage are not separable, the loads come with the larger errors that follow.
+    The model's active effects are fitted first, so errors that they can absorb are not evidence. A stage takes loads,
+    frictions and springs from the stages before it, with the effects that were found missing there. If effects of an
+    earlier stage are not distinguishable, the loads have correspondingly larger standard errors.
 
     Parameters
     ----------
@@ -105,9 +105,8 @@ def diagnose(
     stages
         Those to diagnose; by default all that the campaigns have tables for.
     plan_for
-        Effects, ``effect`` or ``effect@joint3``, that the next measurements are to test, where no two candidates
-        have to be separated; empty: all that the rows test too weakly. None: nothing is planned for
-        them.
+        Effects, ``effect`` or ``effect@joint3``, that the next measurements are to test if no candidates have to be
+        distinguished; empty: all that the rows test too weakly. None: no such plan.
 
     Raises
     ------
@@ -151,13 +150,13 @@ def _one(
     done: dict[tuple[object, ...], FittedStage] = {}
 
     def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:
-        known, held = {**last.model.values(), **start}, opened.held_out(stage)
+        known, held_out = {**last.model.values(), **start}, opened.held_out(stage)
         others = opened.stages[stage].carried_prior or before
         # Poses may be looked through twice, and then most of what is fitted is the same. A fit of a log is too large.
         key = (tuple(terms), tuple(known.items()), float(last.estimate.noise.sigma.sum()))
         found = done.get(key)
         if found is None:
-            found = fit_stage(rows, opened.effects, terms, others, known, held, last=last.estimate)
+            found = fit_stage(rows, opened.effects, terms, others, known, held_out, last=last.estimate)
             if kind_of(stage).points:
                 done[key] = found
         return found
@@ -227,7 +226,7 @@ def _alone(opened: ModelOnCampaign, poses: FittedStage) -> Model:
 
 
 def _called_for(opened: ModelOnCampaign, stage: Stage) -> frozenset[Term]:
-    """What the torque log has shown to act at the joints, where this is the stage of poses."""
+    """Effects at the joints that the torque log has shown, for the stage of poses."""
     if not kind_of(stage).points or known_of(opened.stages, "moving") is None:
         return frozenset()
     known = only_of(opened.stages, "moving").terms
@@ -235,11 +234,11 @@ def _called_for(opened: ModelOnCampaign, stage: Stage) -> frozenset[Term]:
 
 
 def _effects_for(opened: ModelOnCampaign, stage: Stage) -> dict[str, Effect]:
-    """The effects that a stage looks for.
+    """The effects that a stage searches.
 
-    What acts as a torque at a joint shows in torque logs directly. Where there are such logs, poses do not blame one
-    that these did not call for: a spring on a joint bends the arm just as an eccentric gear does. A tool that
-    differs between tables does not show in these logs.
+    Torques at a joint show in torque logs directly. If there are such logs, the poses search no torque effect that the
+    logs did not show, because in poses a spring on a joint looks like an eccentric gear. A tool that differs between
+    tables is an exception: the logs do not show it.
     """
     measured = {s for s in opened.stages if opened.has(kind_of(s).tables)}
     effects = {name: e for name, e in opened.effects.items() if e.search.differs_from in (None, *measured)}

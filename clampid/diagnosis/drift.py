@@ -1,8 +1,8 @@
-"""Whether residuals of consecutive visits are correlated: then visits are not independent, and time is suspect.
+"""Test for correlated residuals of consecutive visits: then visits are not independent, and time is a suspect.
 
 Residuals' means over each visit, in the order of time, are tested for correlation at ten lags, and the clearest is
-judged by ten times its p-value (Bonferroni). Where there is some, the null flips blocks of consecutive visits as long
-as it lasts, so effects that depend on time cannot be distinguished from drift. The variance at each lag is
+judged by ten times its p-value (Bonferroni). If they are correlated, the null distribution flips blocks of
+consecutive visits of that length, and effects of time cannot be distinguished from drift. The variance at each lag is
 that of Ljung, Box, On a measure of lack of fit in time series models, Biometrika 65, 1978.
 """
 
@@ -64,7 +64,7 @@ class Drift:
 
 
 def drift_of(estimate: Estimate) -> Drift | None:
-    """The drift in what a pose fit leaves, or None where none can be seen."""
+    """The drift in the residual of a pose fit, or None where none is significant."""
     rows = estimate.problem.rows
     parts = [_means(rows, estimate.residual, s) for s in np.unique(rows.session)]
     parts = [p for p in parts if len(p) > 4 * LAGS]

@@ -20,7 +20,7 @@ from experiments.outputs import write_text
 __all__ = ["MOST_ORDERS", "effect_module", "effect_new", "effect_text"]
 
 MOST_ORDERS = 12
-JOINTS = 6  # axes of a robot, where nobody says otherwise
+JOINTS = 6  # axes of a robot, unless stated
 ALONE, TOGETHER = 3, 2  # orders of one variable's series, and of each of several
 
 _FILE = '''\
@@ -172,7 +172,7 @@ def _written(name: str, found: Dependence, orders: int) -> str:
 
 
 def _terms(v: Variable, orders: int) -> tuple[str, str]:
-    """The expression of a variable's terms, and what it takes from the algebra."""
+    """The expression of a variable's terms, and the names that it imports from the algebra."""
     match v.basis:
         case "winding" | "fourier" | "powers":
             return f'{v.basis}("{v.name}", {v.name}, {orders})', v.basis
@@ -188,7 +188,7 @@ def _input(v: Variable, code: str) -> str:
 
 
 def _deviation(place: Place, shape: str) -> tuple[str, tuple[str, ...]]:
-    """The body of the deviation, and what it takes from the algebra."""
+    """The body of the deviation, and the names that it imports from the algebra."""
     terms = f"terms = {shape}\n    "
     if len(place.units) == 1:
         return f"{terms}return at_place({place.number}, combined(p, terms), x)", ("at_place",)

@@ -37,11 +37,11 @@ def entry_of(
     rms
         Held-out rms without it and with it, in the stage's unit; None where it was not fitted.
     estimate
-        The fit with it, for its parameters; without, the score's own estimate, one step from zero.
+        The fit with it, for its parameters; None: the score's own estimate, one step from zero.
     kept
-        The terms that paid for themselves; None: all of the candidate's.
+        The terms that justify their parameters; None: all of the candidate's.
     rivals
-        What these rows cannot distinguish it from.
+        Candidates that these rows cannot distinguish from it.
     scale
         Of the whitened residual that was scored.
     """
@@ -109,8 +109,8 @@ def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None
 def _one_step(s: Scored, scale: float) -> tuple[Array, Array, Bools]:
     """The score's own estimate one step from zero: values, standard errors, and which parameters the rows determine.
 
-    Directions of a candidate that the rows hardly determine would come out at any value. So each parameter has the weak
-    prior that a fit gives it: what the rows leave open stays at zero, and its standard error is of the prior's size.
+    Directions of a candidate that the rows hardly determine would take any value. So each parameter has the weak prior
+    of a fit: undetermined directions stay at zero, with the standard error of the prior.
     """
     c = s.candidate
     if c.reasonable is None or not s.freedom:  # with a prior of its own, or of no known size
@@ -125,7 +125,7 @@ def _one_step(s: Scored, scale: float) -> tuple[Array, Array, Bools]:
 
 
 def confusable_with(scored: Sequence[Scored], s: Scored) -> list[dict[str, Any]]:
-    """Of some candidates those of other families that share most of a candidate's columns, the closest five."""
+    """The five candidates of other families that are most correlated with a candidate."""
     out: list[dict[str, Any]] = []
     for other in scored:
         if other.candidate.family == s.candidate.family or not other.freedom:
@@ -144,7 +144,7 @@ def confusable_with(scored: Sequence[Scored], s: Scored) -> list[dict[str, Any]]
 
 
 def considered_of(scored: Sequence[Scored], null: Flips, most: int = LISTED) -> list[dict[str, Any]]:
-    """The best candidates with their evidence, whether anything became of them or not."""
+    """The best candidates with their evidence, confirmed or not."""
     able = sorted((s for s in scored if s.freedom), key=lambda s: -s.bic)[:most]
     return [
         {

@@ -1,7 +1,7 @@
-"""Verdicts from few poses: whether errors of rows that no fit has seen can be judged, and what estimates add to them.
+"""Verdicts from few poses: whether held-out errors can be judged, and how much errors of the estimates add to them.
 
-A fit of p parameters predicts rows that it has not seen worse than it follows its own. Where the model is right and n
-numbers are fitted, the mean square of the errors is 1 + p / (n - p - 1) times that of the noise.
+The held-out error of a fit of p parameters is larger than its residual. If the model is right and n numbers are fitted,
+the mean square of held-out errors is 1 + p / (n - p - 1) times that of the noise.
 
 Source: Breiman and Freedman, How many variables should be entered in a regression equation?, J. Am. Stat. Assoc. 78,
 1983: the mean squared error of prediction, of normal regressors.
@@ -21,19 +21,19 @@ NOTABLE = 1.3  # from this factor on the error of the estimates is a part of wha
 
 
 def _factor(estimate: Estimate) -> float:
-    """How many times the noise the error of held-out poses is, under a right model; infinite where none can be told."""
+    """Expected error of held-out poses under a right model, over the noise; infinite without degrees of freedom."""
     numbers, determined = freedom_of(estimate)
     left = FITTED * numbers - determined - 1.0
     return float(np.sqrt(1.0 + determined / left)) if left > 0.0 else float("inf")
 
 
 def estimates_share(estimate: Estimate, verified: bool) -> float:
-    """How many times the noise floor held-out poses may be off for the error of the estimates alone; 1 if hardly more.
+    """Held-out error over the noise floor that errors of the estimates alone explain; 1 if it is hardly more.
 
     Parameters
     ----------
     verified
-        Whether a table of its own verifies the fit, for which nothing is left out.
+        Whether a verification table is used, so that all poses are fitted.
     """
     if verified or not estimate.problem.kind.points:
         return 1.0
@@ -42,7 +42,7 @@ def estimates_share(estimate: Estimate, verified: bool) -> float:
 
 
 def refuse_unjudged(fitted: FittedStage, verified: bool) -> None:
-    """Refuse poses of which four fifths determine nothing beyond their parameters: no error would tell of an effect.
+    """Refuse poses without degrees of freedom in four fifths of them: no held-out error would reveal an effect.
 
     Raises
     ------

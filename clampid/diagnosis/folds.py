@@ -1,10 +1,10 @@
 """Which rows are held out together: whole runs where runs are exchangeable, else parts of runs.
 
-A run that is left out is predicted from the others. Where it lies outside all of them in a variable that a candidate
-depends on, such as warmth, that tests an extrapolation and not the candidate: of two runs, one cold and one warm,
-neither says anything of the other's warmth. Each run is then cut into contiguous pieces, of which every part of the
-rows has one, so that each piece lies between others of its own run. Pieces are at least four units of noise long, and
-the first and last unit of each, which share noise with the pieces beside it, are fitted and not judged.
+A held-out run is predicted from the others. If it lies outside their range in a variable of a candidate, such as
+temperature, this tests an extrapolation and not the candidate: a cold run does not predict a warm one. Then each run is
+cut into contiguous pieces, one for every part of the rows, so that each piece lies between others of its own run.
+Pieces are at least four units of noise long. The first and last unit of each piece share noise with its neighbours;
+they are fitted and not judged.
 
 Source: Roberts et al., Cross-validation strategies for data with temporal, spatial, hierarchical, or phylogenetic
 structure, Ecography 40, 2017: blocks in time, and no extrapolation between them.
@@ -67,7 +67,7 @@ class Folds:
 
 
 def folds_of(rows: Rows, candidates: Sequence[Candidate], effects: Mapping[str, Effect]) -> Folds | None:
-    """Parts of runs, where whole runs would test an extrapolation of one of the candidates; else None."""
+    """Parts of runs if whole runs would test an extrapolation of one of the candidates; else None."""
     if not rows.kind.moving:  # sweeps have constants of their own, and poses are not ordered by anything
         return None
     because: dict[str, None] = {}
@@ -96,7 +96,7 @@ def extrapolated_in(rows: Rows, effect: Effect, places: Sequence[str]) -> tuple[
 
 
 def _outside(columns: Array, run: Integers) -> Bools:
-    """Which numbers ``(N, k)`` lie in no range that a run other than their own has."""
+    """Which numbers ``(N, k)`` lie outside the ranges of all runs but their own."""
     runs = np.unique(run)
     inside = np.zeros(columns.shape, dtype=bool)
     for k in runs:
@@ -109,7 +109,7 @@ def _outside(columns: Array, run: Integers) -> Bools:
 def parts_of_runs(rows: Rows) -> tuple[Integers, Bools]:
     """Parts ``(N,)``, a contiguous piece of each run in every one, and which rows ``(N,)`` are judged.
 
-    A run that is too short for pieces is of one part, as a whole.
+    A run that is too short for pieces belongs to one part as a whole.
     """
     part, judged = np.zeros(len(rows), dtype=np.int64), np.ones(len(rows), dtype=bool)
     for number, run in enumerate(np.unique(rows.fold)):

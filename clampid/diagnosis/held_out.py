@@ -1,4 +1,4 @@
-"""Errors of rows that a fit has not seen, and whether one model's lie above another's."""
+"""Errors of held-out rows, and tests whether those of one model are larger than those of another."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Array, Rows
 
-__all__ = ["HELD_OUT_RATE", "HeldOut", "either_p", "held_out"]
+__all__ = ["HELD_OUT_RATE", "HeldOut", "either_p", "held_out_of"]
 
 HELD_OUT_RATE = 0.05
-"""Chance of a fall of the held-out error that passes for one, of an effect that is not there."""
+"""False-alarm rate: probability that the held-out error falls significantly by an effect that does not exist."""
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors of rows that a fit has not seen.
+    """Errors of held-out rows.
 
     Attributes
     ----------
@@ -32,11 +32,11 @@ class HeldOut:
     rows, residual
         The rows ``(N,)`` and their residuals ``(N, m)``, SI.
     floor
-        What noise alone leaves.
+        The noise floor.
     noise
         Of the estimate's own residuals.
     block
-        Of poses: how many consecutive visits are one to a test.
+        Of poses: how many consecutive visits a test flips together.
     """
 
     rms: float
@@ -48,7 +48,7 @@ class HeldOut:
 
     @property
     def squares(self) -> Array:
-        """Squared errors ``(N,)``, m² or SI over the log's noise, zero of what does not count."""
+        """Squared errors ``(N,)``, m² or in units of the log's noise; zero for rows that do not count."""
         size, counts = size_of(self.rows, self.residual, self.floor)
         squares = np.where(counts, size**2, 0.0)
         return np.asarray(squares if squares.ndim == 1 else squares.sum(axis=1))
@@ -71,11 +71,11 @@ class HeldOut:
         return bool(np.sum((self.squares - other.squares)[both]) > 0.0)
 
     def p_above(self, other: HeldOut, noise: Noise, seed: int) -> float:
-        """One-sided p of how far these errors lie above another model's on the same rows.
+        """One-sided p of these errors being larger than another model's on the same rows.
 
-        Of logs, where noise lasts: half of the rate each for errors as they are, which only what acts slowly or
-        everywhere lowers by more than that noise, and for whitened ones, which see what is brief. The noise is to be
-        that of the larger model: what an effect leaves in a model without it looks like noise that lasts.
+        Noise of logs is correlated in time. So half of the rate is for plain errors, which slow effects lower
+        significantly, and half for whitened errors, which brief effects lower. The noise must be that of the larger
+        model: in a model without an effect, that effect looks like correlated noise.
         """
         both = (self.rows.used & other.rows.used).any(axis=1)  # single wrong rows are each fit's own finding
         p = held_out_p(both * self.squares, both * other.squares, blocks_of_visits(self.rows, self.block), seed)
@@ -85,7 +85,7 @@ class HeldOut:
         return min(2.0 * min(p, white), 1.0)
 
 
-def held_out(
+def held_out_of(
     estimate: Estimate,
     verification: Rows | None,
     floor: Floor,
@@ -110,5 +110,5 @@ def held_out(
 
 
 def either_p(verified: float, crossed: float) -> float:
-    """The p of a fall that one of two tests shows: on a verification table, or on parts of the rows of the fit."""
+    """The p of a fall by the better of two tests: on a verification table, or by cross-validation."""
     return min(2.0 * min(verified, crossed), 1.0)

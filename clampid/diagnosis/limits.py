@@ -1,4 +1,4 @@
-"""What a diagnosis would have found, effect by effect, and what these rows cannot test, in columns for people."""
+"""Detection limits effect by effect, and the effects that these rows cannot test, in columns for people."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ WHY = {
     "implausible": "only an implausible size or sign would be found",
     "testable": "",
 }
-"""States, the more that rows can tell the later, and what is said of them."""
+"""States in increasing order of what the rows can test, with their texts."""
 _RANK = {state: rank for rank, state in enumerate(WHY)}
 
 
 def limit_rows(testability: Sequence[Json]) -> list[tuple[str, str, str]]:
-    """Effect with its parameter, places, and limits there; first what is seen at the smallest part of a usual size.
+    """Effect with its parameter, places, and limits there, sorted by limit over usual size.
 
-    Of an effect with several parameters the one that is seen best.
+    Of an effect with several parameters the one with the smallest such ratio.
     """
     best: dict[tuple[str, str, str], dict[str, tuple[float, float]]] = {}
     for entry in testability:

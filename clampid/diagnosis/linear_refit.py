@@ -1,4 +1,4 @@
-"""What an alternative would bring on rows that no fit has seen, without fitting it: a Gauss-Newton step, no search."""
+"""Held-out error with an alternative, estimated by one Gauss-Newton step instead of a fit."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ __all__ = ["Step", "linear_refit", "step_towards"]
 
 
 def linear_refit(estimate: Estimate, s: Scored) -> Estimate | None:
-    """The estimate with a candidate fitted along, linear about the fit without; None of what is no amplitude of rows.
+    """The estimate with a candidate, by one linear step from the fit without; None if it is no amplitude of rows.
 
-    Noise and covariance stay those of the fit without it: it is there to predict, not to be reported.
+    Noise and covariance stay those of the fit without it: the result is for predictions only.
     """
     c, white = s.candidate, estimate.whitened
     if estimate.problem.effects[c.name].event is not None or set(c.slots) & set(estimate.slots):
@@ -90,9 +90,9 @@ class Step:
     Attributes
     ----------
     near
-        The estimate there, as it would be if everything were linear.
+        The estimate there, if everything were linear.
     promised, kept
-        By how much the whitened squares of the fitted rows fall if everything is linear, and by how much they do.
+        Fall of the whitened squares of the fitted rows: as predicted by the linear model, and the actual one.
     """
 
     near: Estimate
@@ -101,23 +101,23 @@ class Step:
 
     @property
     def falls(self) -> bool:
-        """Whether the step lowers the error of the very rows it was found from."""
+        """Whether the step lowers the error of the fitted rows."""
         return self.kept > 0.0
 
     @property
     def linear(self) -> bool:
-        """Whether the score, which is that of a linear model, says what the candidate explains."""
+        """Whether the score, which is that of a linear model, is right for the candidate."""
         return abs(self.kept - self.promised) <= SAME
 
     def may_reach(self, other: Step | None) -> bool:
-        """Whether a search from here may explain as much as the other does, as far as the curvature met tells."""
+        """Whether a search from here may explain as much as the other step, judged by the observed curvature."""
         return other is None or max(self.kept, self.promised) + abs(self.kept - self.promised) >= other.kept
 
 
 def step_towards(estimate: Estimate, s: Scored) -> Step | None:
-    """A step towards a candidate and what it keeps of its promise; None of what is no amplitude of rows.
+    """A step towards a candidate, with the predicted and the actual fall; None if it is no amplitude of rows.
 
-    A gap that closes, or a time constant, is not linear: then only a search decides.
+    A closing gap or a time constant is not linear; then only a full fit decides.
     """
     near = linear_refit(estimate, s)
     if near is None:

@@ -1,4 +1,4 @@
-"""What to measure next, as a verdict lists it: what parts look-alikes, and what tests what these rows cannot."""
+"""The next measurements of a verdict: to distinguish candidates, or to test effects that these rows cannot test."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from experiments.plans.model import Plan
 __all__ = ["COOLING", "ENOUGH", "SAME", "STATES", "TEMPERATURES", "Gain", "NextPlan", "NextPoses"]
 
 SAME = 20.0
-"""Explained beyond another candidate, less than this does not distinguish the two: odds of e^10, 22 000 to one."""
+"""Candidates whose explained squares differ by less are not distinguished: odds of e^10, 22 000 to one."""
 POWER = 0.9
 ENOUGH = float((SAME**0.5 + stats.norm.isf(1 - POWER)) ** 2)
 """The noncentrality of which 90 % of measurements show more than :data:`SAME`."""
 TEMPERATURES = {"cold": "as cold as at the start of these", "warm": "as warm as at the end of these"}
 STATES = ("warm", "cold")
 COOLING = 4 * 3600.0
-"""s that a warm robot rests until it counts as cold: what depends on the time since switch-on goes on meanwhile."""
+"""s that a warm robot rests until it counts as cold; the time since switch-on goes on meanwhile."""
 
 
 @dataclass(frozen=True)
 class NextPoses:
-    """Poses that part candidates.
+    """Poses that distinguish candidates.
 
     Attributes
     ----------
@@ -35,8 +35,8 @@ class NextPoses:
     state
         ``warm`` or ``cold``: as the robot was at the end or at the start of the campaign's poses.
     before, after
-        Evidence, in units of the noise's variance, that the closest pair of candidates that any poses part can be told
-        apart by.
+        Evidence, in units of the noise's variance, between the closest two candidates among those that any poses
+        distinguish.
     """
 
     q: Array
@@ -67,21 +67,21 @@ class NextPoses:
 
 @dataclass(frozen=True)
 class Gain:
-    """What a plan brings for one parameter that the rows test too weakly; SI.
+    """The gain of a plan for one parameter that the rows test too weakly; SI.
 
     Attributes
     ----------
     name
         ``effect.parameter@place``.
     size
-        What it usually amounts to.
+        Its usual size.
     before, after, best
-        The size that would be found with 90 % probability: in these rows, with the plan, and with every measurement
-        that was tried; infinite where none would.
+        Detection limit (90 % probability): in these rows, with the plan, and with every measurement that was tried;
+        infinite where there is none.
     aim
-        What the plan was to reach.
+        The limit that the plan was to reach.
     retained
-        Share of its columns that the model cannot take up: now, and with the plan.
+        Share of its columns that the model cannot absorb: now, and with the plan.
     """
 
     name: str
@@ -121,22 +121,22 @@ class NextPlan:
     Attributes
     ----------
     aim
-        ``parting``: candidates that explain the same; ``testing``: what these rows test too weakly.
+        ``parting``: to distinguish candidates; ``testing``: to test parameters that these rows test too weakly.
     chosen
         Numbers in the pool that they were chosen from, of ``tried``.
     state
         ``warm`` or ``cold``: as the robot was at the end or at the start of the measurements so far.
     what, words
-        What one is and several are, and what these are in particular.
+        The words for one and for several, and a description of these.
     plan
         For the runner; None where nothing helps.
     before, after
-        Evidence, in units of the noise's variance, that the closest pair that can be parted is distinguished by.
+        Evidence, in units of the noise's variance, between the closest two candidates that can be distinguished.
     shared
         The share of its signal that this pair has in common: now, and after.
     never
-        Pairs that nothing tried parts, by their labels, the share that they would still have in common with all tried,
-        and the evidence that they would be distinguished by.
+        Pairs that no measurement tried distinguishes, by their labels, with the share in common and the evidence
+        between them with all measurements tried.
     gains
         Parameter by parameter, for ``testing``.
     """
@@ -156,7 +156,7 @@ class NextPlan:
 
     @property
     def helps(self) -> bool:
-        """Whether it is expected to do in 9 of 10 campaigns what it is for, at least of some."""
+        """Whether it is expected to reach its aim in 9 of 10 campaigns, at least for some candidates or parameters."""
         if self.aim == "testing":
             return any(gain.possible and gain.after < gain.before for gain in self.gains)
         return self.after >= ENOUGH
@@ -175,7 +175,7 @@ class NextPlan:
 
     @property
     def sentence(self) -> str:
-        """For people: of what parts candidates, and which it does not."""
+        """For people: the gain for candidates that it distinguishes, and the pairs that it does not."""
         never = "; ".join(
             f"{a} from {b} ({_percent(share)} of their signal in common, a difference of {np.sqrt(left):.2g} σ)"
             for a, b, share, left in self.never
@@ -220,7 +220,7 @@ class NextPlan:
 
 
 def _percent(share: float) -> str:
-    """``97 %``; as many digits as it takes not to say 100 of what is less."""
+    """``97 %``, with enough digits that a share below 1 is not printed as 100 %."""
     for digits in (0, 1, 2):
         text = f"{100 * share:.{digits}f}"
         if float(text) < 100.0:

@@ -133,7 +133,7 @@ def _kinds(cell: Cell, limits: Limits, shares: Sequence[float], time: float, see
 def _through(
     cell: Cell, limits: Limits, scene: Scene, stops: Array, share: float, time: float, rng: np.random.Generator
 ) -> Course:
-    """A course towards one stop after the other, as far as it gets in each move."""
+    """A course towards one stop after the other, each move cut at its longest duration."""
     knots, spent, fails = [stops[int(rng.integers(len(stops)))]], DWELL, 0
     while fails < STOPS:
         to = stops[int(rng.integers(len(stops)))]
@@ -185,7 +185,7 @@ def _imagined_rows(
     campaign: Campaign, estimate: Estimate, cell: Cell, courses: Sequence[Course], rate: float, state: str,
     fastest: float,
 ) -> Rows:  # fmt: skip
-    """Rows of logs that nobody has taken."""
+    """Rows of planned logs, not yet measured."""
     own = estimate.problem.rows
     table = planned_log(courses, rate)
     like = campaign.tables["free_air" if "free_air" in campaign.tables else "wrist"]
@@ -209,7 +209,7 @@ def _imagined_rows(
 
 
 def _neighbouring(estimate: Estimate) -> TorqueNoise:
-    """The log's noise, as far as neighbouring rows share it."""
+    """The log's noise, as far as it is correlated between neighbouring rows."""
     noise, used = estimate.noise, estimate.problem.rows.used
     sigma = np.array([np.median(noise.sigma[used[:, c], c]) if used[:, c].any() else 1.0 for c in range(used.shape[1])])
     lag = [a[1] / a[0] for a in noise.autocorrelations if len(a) > 1 and a[0] > 0]

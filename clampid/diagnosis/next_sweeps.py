@@ -30,7 +30,7 @@ __all__ = ["sweeps_to_choose"]
 
 AMPLITUDES = (0.05, 0.2, 0.4)  # of the rated motor torques
 STEPS_PER_QUARTER = 8  # in a quarter of a sweep
-NEW, USED = 3, 2  # postures: such as nobody has clamped the flange in, and of the campaign
+NEW, USED = 3, 2  # postures: new ones, and those of the campaign
 ALIKE = 0.02  # rad: two sweeps closer than this were one clamping
 MARGIN = 1.3  # by how much stiffer drives may be than they have been found
 CHUNK = 6  # sweeps worked out at once: each has unknowns of its own
@@ -136,7 +136,7 @@ def _sweeps(blank: Plan, press: Press, places: Array) -> tuple[list[Sweep], list
 def _imagined_rows(
     campaign: Campaign, estimate: Estimate, cell: Cell, sweeps: Sequence[Sweep], press: Press, state: str
 ) -> Rows:
-    """Rows of sweeps that nobody has taken, with the torques of springs alone."""
+    """Rows of planned sweeps, not yet measured, with the torques of the springs only."""
     robot, own = cell.robot, estimate.problem.rows
     T, n = np.asarray(robot.transmission), robot.n
     measured = campaign.tables["clamped"]
@@ -168,7 +168,7 @@ def _load(cell: Cell, posture: Array) -> Array:
 def _standing(
     estimate: Estimate, candidates: Sequence[Candidate], cell: Cell, rows: Rows, sweeps: Sequence[Sweep], theta: Array
 ) -> Array:
-    """Offsets ``(K,)``, rad, with which the weight is all that the drives hold before a sweep begins."""
+    """Offsets ``(K,)``, rad, with which the drives carry only the weight before a sweep begins."""
     slots = dict.fromkeys(estimate.slots)
     for c in candidates:
         slots |= dict.fromkeys([*c.slots, *c.shapes])

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-CERTAIN_SHIFT = 2.0  # standard errors beyond which a shift is told
+CERTAIN_SHIFT = 2.0  # standard errors beyond which a shift is reported
 MAX_NAMED = 3  # numbers named in a sentence
 POSTURES = 200
 
@@ -48,7 +48,7 @@ def exported_shift(before: Model, after: Model, robot: RobotDescription) -> list
         ``row`` (``1`` … ``n``, ``base``, ``tool``), ``parameter`` and ``unit`` (m or rad), ``shift`` (without the
         effect less with it), ``std``, the standard error of the number with it, and ``at_flange_m``, by how much the
         shift of this number alone moves the flange (rms over the joints' ranges). Only what is beyond two standard
-        errors; empty where the models have no geometry to export.
+        errors; empty if the models have no geometry to export.
     """
     try:
         tables = [static_table(model, "hayati", robot=robot) for model in (before, after)]

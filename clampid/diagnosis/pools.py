@@ -1,7 +1,7 @@
-"""Measurements to choose from, which nobody has taken yet: what each would say of a fit's parameters and of candidates.
+"""Pools of planned measurements: the information of each on a fit's parameters and on candidates.
 
-What a run or a sweep does not share with any other, such as the posture at which the flange was clamped, is taken off
-its own columns; the rest is turned to as few rows as there are columns, which changes no product.
+Constants of a single run or sweep, such as the posture at which the flange was clamped, are projected out of its
+columns; the rest is reduced by an orthogonal transformation to as many rows as columns, which keeps all products.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ class Pool:
     Attributes
     ----------
     nuisance
-        ``(K, r, P)``: whitened columns of what is fitted in any case.
+        ``(K, r, P)``: whitened columns of the fitted parameters.
     columns
         ``(K, r, k)`` of each candidate.
     cost
         ``(K,)`` s.
     what
-        What one is and what several are: ``pose``, ``poses``.
+        The words for one and for several: ``pose``, ``poses``.
     batch, most
         How many are added at once, and at most.
     words
@@ -71,7 +71,7 @@ class Seen:
 
 
 def seen_of(estimate: Estimate, candidates: Sequence[Candidate]) -> Seen:
-    """What the rows of a fit say."""
+    """The columns in the rows of a fit."""
     white, count, size = estimate.whitened, len(estimate.slots), estimate.problem.sizes()
     values, vectors = np.linalg.eigh(estimate.prior_precision * np.outer(size, size))
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).T / size
@@ -87,7 +87,7 @@ def seen_of(estimate: Estimate, candidates: Sequence[Candidate]) -> Seen:
 
 
 def without_own(columns: Array, own: Array) -> Array:
-    """Columns ``(M, w)`` as ``(w, w)`` with the same products, what ``own`` ``(M, k)`` can take up taken off."""
+    """Columns ``(M, w)`` as ``(w, w)`` with the same products, after projecting out ``own`` ``(M, k)``."""
     return _without_own(([columns],), (own,), columns.shape[1])
 
 
@@ -115,7 +115,7 @@ def _split(columns: Array, candidates: Sequence[Candidate]) -> list[Array]:
 
 
 def joined(parts: Sequence[Array], candidates: Sequence[Candidate], count: int) -> tuple[Array, tuple[Array, ...]]:
-    """Nuisance and candidates' columns of a pool, from what `told_by` gave of each measurement."""
+    """Nuisance and candidates' columns of a pool, from the whitened columns of each measurement."""
     stacked = np.stack(list(parts))
     return stacked[:, :, :count], tuple(_split(stacked[:, :, count:], candidates))
 
@@ -127,7 +127,7 @@ def columns_seen_by(
     group: Integers,
     offsets: Callable[[Array], Array] | None = None,
 ) -> list[Array]:
-    """Whitened columns of fit and candidates in rows that nobody has measured, ``(w, w)`` of each group.
+    """Whitened columns of fit and candidates in planned rows, ``(w, w)`` of each group.
 
     Parameters
     ----------
@@ -151,12 +151,14 @@ def columns_seen_by(
     sigma = np.array([np.median(past.sigma[known[:, c], c]) if known[:, c].any() else np.inf for c in channels])
     noise = replace(past, sigma=np.tile(sigma, (len(rows), 1)))
     return [
-        _told(noise, rows, np.flatnonzero(group == number), jacobian, wanted, len(theta))
+        _whitened_columns(noise, rows, np.flatnonzero(group == number), jacobian, wanted, len(theta))
         for number in range(int(group.max()) + 1)
     ]
 
 
-def _told(noise: Noise, rows: Rows, mine: Integers, jacobian: Array, wanted: Sequence[int], count: int) -> Array:
+def _whitened_columns(
+    noise: Noise, rows: Rows, mine: Integers, jacobian: Array, wanted: Sequence[int], count: int
+) -> Array:
     own = jacobian[mine]
     white = noise.at(mine).whiten(rows.take(mine), np.zeros(own.shape[:2]), own)
     return without_own(white.jacobian[:, list(wanted)], white.jacobian[:, count:])

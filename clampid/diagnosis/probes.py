@@ -1,7 +1,7 @@
 """Probes: physics-free candidates, each joint's, frame's or motor's error against each recorded variable.
 
-Where probes fire and no effect does, structure is left that the catalogue does not explain; the probe says where it
-sits and on what it depends: on one recorded variable, or on two together.
+If a probe is significant and no effect is, the residual has structure that the catalogue does not explain. The probe
+names its place and the variables on which it depends: one recorded variable, or two together.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ HARMONICS = 3
 OTHERS = 6  # of another joint's revolution, in a motor's torque: rollers, teeth and cables come several times a turn
 SWINGS = 8  # of an instrument's readings over the campaign: air conditioning, doors
 RANGES = 6  # of a motor's speed
-PERIODIC = 40  # harmonics of a joint's revolution: with 32 or fewer much of a ragged curve stays behind
-PERIODIC_SIZE = 3e-4  # rad, rms: the upper end of what joints' transmissions and encoders are off by
+PERIODIC = 40  # harmonics of a joint's revolution: 32 or fewer leave much of a ragged curve
+PERIODIC_SIZE = 3e-4  # rad, rms: the upper end of errors of joints' transmissions and encoders
 
 
 def probes(estimate: Estimate) -> list[Candidate]:
@@ -120,13 +120,13 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
 
 
 def _air(rows: Rows) -> list[Covariate]:
-    """Temperatures of no single link or motor: of the surroundings, and of whatever else has a sensor."""
+    """Temperatures that belong to no single link or motor: of the surroundings, and of other sensors."""
     warm = {name: _scaled(values)[:, None] for name, values in shared_temperatures(rows).items()}
     return [(name, (name,), x) for name, x in warm.items() if np.any(x)]
 
 
 def _by_other_joints(rows: Rows) -> list[Covariate]:
-    """What any joint's error is held against, its own angle's harmonics apart: other angles, directions, products."""
+    """Covariates of any joint's error besides harmonics of its own angle: other angles, directions, products."""
     s, n = rows.signals, rows.robot.n
     waves = [_harmonics(s["q"][:, k], 2) for k in range(n)]
     out: list[Covariate] = []
@@ -146,7 +146,7 @@ def _by_other_joints(rows: Rows) -> list[Covariate]:
 
 
 def _levers(estimate: Estimate, unit: Array) -> Levers:
-    """What a unit at each of some places ``(N, m, k)`` does to the measurement, whitened."""
+    """Whitened change of the measurement ``(N, m, k)`` by a unit at each of some places."""
     rows = estimate.problem.rows
     white = estimate.noise.whiten(rows, np.zeros(unit.shape[:2]), unit)
     return Levers(white.jacobian, white.entry, len(rows))
@@ -165,9 +165,8 @@ def _at(
 def _periodic(rows: Rows, levers: Levers) -> Candidate | None:
     """Errors of all joint angles, each any periodic function of its own joint, down to a few degrees' width.
 
-    All joints at once: one alone would take for its own what the others leave, and find nothing clear. Their many
-    columns are told apart by the size that they have in all, spread evenly: at most what errors of joints can amount to
-    (:data:`PERIODIC_SIZE`).
+    All joints at once: a single joint would absorb the others' errors, and none would be significant. The many columns
+    are regularised by a prior: their total rms is at most :data:`PERIODIC_SIZE`, spread evenly.
 
     Parameters
     ----------
@@ -257,7 +256,7 @@ def _log_covariates(rows: Rows) -> list[list[Covariate]]:
 
 
 def _of_speed(w: Array, sign: Array) -> Array:
-    """Waves over the range of a motor's speeds, with and without its sign ``(N, 12)``: what a resonance looks like."""
+    """Waves over the range of a motor's speeds, with and without its sign ``(N, 12)``: the shape of a resonance."""
     share = np.pi * np.abs(w) / max(float(np.max(np.abs(w), initial=0.0)), 1e-300)
     waves = np.column_stack([np.cos(k * share) for k in range(1, RANGES + 1)])
     return np.column_stack([sign[:, None] * waves, waves])

@@ -1,4 +1,4 @@
-"""Chooses what to measure next: what parts candidates, and in what shows what the rows so far test too weakly."""
+"""Chooses the next measurements: to distinguish candidates, or to test parameters that the rows test too weakly."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Weak:
     scored, index
         The candidate, and which of its slots.
     noncentrality
-        What is found with 90 % power.
+        The noncentrality that is found with 90 % power.
     parameter
         With its size for this robot.
     aim
@@ -48,10 +48,10 @@ class Weak:
 def propose_parting(
     pool_of: PoolOf, estimate: Estimate, rivals: Sequence[Scored], scale: float, states: Sequence[str]
 ) -> NextPlan | None:
-    """Choose measurements that part candidates; None where nothing can be chosen.
+    """Choose measurements that distinguish candidates; None if fewer than two of them have a size.
 
-    That is where fewer than two of them have a size. Where these rows were expected to part them and did not, which
-    happens in 1 of 10 campaigns, as much evidence again is aimed at.
+    If these rows were expected to distinguish them and did not, which happens in 1 of 10 campaigns, the same amount of
+    evidence is aimed at again.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def propose_parting(
 
 
 def parting_aim(parts: str, before: float, after: float) -> dict[str, float | int | str]:
-    """What a plan that parts candidates says of its aim: which, and the evidence without and with it."""
+    """The aim of a plan that distinguishes candidates, in words: which, and the evidence without and with it."""
     return {"parts": parts, "evidence_before": before, "evidence_after": after, "evidence_needed": SAME}
 
 
@@ -122,7 +122,7 @@ def _better(new: NextPlan, best: NextPlan) -> bool:
 def propose_testing(
     pool_of: PoolOf, estimate: Estimate, weak: Sequence[Weak], scale: float, states: Sequence[str]
 ) -> NextPlan | None:
-    """Choose measurements in which parameters show that these rows test too weakly; None where there are none."""
+    """Choose measurements that test parameters which these rows test too weakly; None where there are none."""
     if not weak:
         return None
     scored = list({id(w.scored): w.scored for w in weak}.values())
@@ -154,7 +154,7 @@ def propose_testing(
 
 
 def _shared_noise(w: Weak, nuisance: np.ndarray, signal: np.ndarray) -> float:
-    """By how much noise that a unit's entries share makes the variance of an amplitude larger."""
+    """Variance of an amplitude with noise that a unit's entries share, over that with independent noise."""
     limit = float(w.scored.unit_limit[w.index]) if len(w.scored.unit_limit) > w.index else np.inf
     if not np.isfinite(limit):
         return 1.0
@@ -175,7 +175,7 @@ def _tested(
     found: Showing,
     enough: np.ndarray,
 ) -> NextPlan:
-    """The proposal with what it brings, parameter by parameter."""
+    """The proposal with its gain, parameter by parameter."""
     chosen = list(found.chosen)
     gains = []
     for k, w in enumerate(weak):

@@ -1,4 +1,4 @@
-"""What parameters must bring to pay: places of a new effect, earlier effects beside it, others instead of it."""
+"""Selection by BIC: places of a new effect, earlier effects beside it, other effects instead of it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from clampid.slots import Slot, Term
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array, Rows
 
-__all__ = ["Refit", "behind", "needless", "pays", "pruned"]
+__all__ = ["Refit", "bic_gap", "needless", "pays", "pruned"]
 
 Refit = Callable[[Sequence[Term], FittedStage, Mapping[Slot, float]], FittedStage]
 
@@ -23,11 +23,12 @@ def pruned(
 ) -> tuple[FittedStage, list[Term]]:
     """Drop the places of a new effect that do not pay for their parameters (Wald's statistic against BIC).
 
-    That statistic is a linear model's. A friction that decides on flanks may hardly be known and yet be needed: where
-    the fit without all that does not pay loses more than they cost, they are dropped one by one, while it does not.
+    That statistic assumes a linear model. A friction that selects flanks may have a large standard error and still be
+    needed. So if the fit without all rejected places loses more than their BIC cost, they are dropped one by one, as
+    long as the loss is below the cost.
 
-    Places at which it comes out beyond its bounds, such as a clearance below zero, are dropped before: what it explains
-    there it does by what it cannot be. None may be left.
+    Places where the estimate lies beyond its bounds, such as a clearance below zero, are dropped first: an impossible
+    value explains nothing. No place may be left.
     """
     new = list(new)
     while possible := [t for t in new if not _impossible(trial.estimate, t)]:
@@ -59,9 +60,9 @@ def pruned(
 
 
 def needless(trial: FittedStage, terms: Sequence[Term], refit: Refit) -> FittedStage | None:
-    """The fit without some terms of a model, where these do not pay for their parameters; None where they do.
+    """The fit without some terms of a model if BIC does not justify their parameters; else None.
 
-    As for the places of a new effect, where Wald's statistic says that they do not pay, the fit without decides.
+    As for the places of a new effect, if Wald's statistic does not justify them, the fit without decides.
     """
     estimate = trial.estimate
     if pays(estimate, terms):
@@ -72,16 +73,16 @@ def needless(trial: FittedStage, terms: Sequence[Term], refit: Refit) -> FittedS
 
 
 def pays(estimate: Estimate, terms: Sequence[Term]) -> bool:
-    """Whether some terms of a fit pay for their parameters, by Wald's statistic."""
+    """Whether BIC justifies the parameters of some terms of a fit, by Wald's statistic."""
     cost = sum(_costs(estimate, terms).values())
     return _wald(estimate, [k for term in terms for k in _of(estimate, term)]) >= cost
 
 
-def behind(fits: Sequence[tuple[Estimate, Sequence[Term]]], noise: Noise) -> Array:
-    """By how much each of some fits of the same rows is less likely than the likeliest, ``(fits,)``.
+def bic_gap(fits: Sequence[tuple[Estimate, Sequence[Term]]], noise: Noise) -> Array:
+    """BIC of each of some fits of the same rows, less that of the best ``(fits,)``: twice the log of the odds.
 
-    That is what they leave, in units of one noise, what the numbers of the terms in which they differ must bring, and
-    what these are off where a prior says what they amount to: twice the log of the odds.
+    The BIC is the sum of their squared residuals in units of one noise, the cost of the parameters of the terms in
+    which they differ, and the squares of these parameters over their priors, where there are any.
     """
     found, rows = [], fits[0][0].problem.rows  # those that one of them counts, for all
     for estimate, terms in fits:
@@ -94,7 +95,7 @@ def behind(fits: Sequence[tuple[Estimate, Sequence[Term]]], noise: Noise) -> Arr
 
 
 def _wald(estimate: Estimate, own: Sequence[int]) -> float:
-    """Wald's statistic of some parameters: how far amplitudes are from none, in units of twice the log-likelihood."""
+    """Wald's statistic of some amplitudes against zero, in units of twice the log-likelihood."""
     effects, robot = estimate.problem.effects, estimate.problem.rows.robot
     index = [k for k in own if not parameter_of(estimate.slots[k], effects, robot).shape]
     theta, covariance = estimate.theta[index], estimate.covariance[np.ix_(index, index)]
@@ -114,7 +115,7 @@ def _impossible(estimate: Estimate, term: Term) -> bool:
 
 
 def _costs(estimate: Estimate, terms: Sequence[Term]) -> dict[Term, float]:
-    """What the parameters of each term that a fit has must bring, in units of twice the log-likelihood."""
+    """BIC cost of the parameters of each term that a fit has, in units of twice the log-likelihood."""
     rows = max(len(estimate.whitened.residual), 2)
     assumed = estimate.problem.prior_std() <= estimate.problem.sizes()
     out = {}
@@ -130,11 +131,11 @@ def _costs(estimate: Estimate, terms: Sequence[Term]) -> dict[Term, float]:
 
 
 def _loss(fewer: Estimate, full: Estimate) -> float:
-    """By how much the squares of a fit with fewer parameters are larger, in units of the full one's noise."""
+    """Increase of the squared residual of a fit with fewer parameters, in units of the full fit's noise."""
     return _squares(fewer, full.problem.rows, full.noise) - full.point.cost
 
 
 def _squares(estimate: Estimate, rows: Rows, noise: Noise) -> float:
-    """What a fit leaves of the rows that count in ``rows``, squared, in units of that noise."""
+    """Squared residual of a fit over the rows that count in ``rows``, in units of that noise."""
     white = noise.whiten(rows, estimate.residual, np.zeros((*estimate.residual.shape, 0))).residual
     return float(white @ white)

@@ -1,4 +1,4 @@
-"""What spoke for a confirmed step, and what was rejected beside it and why: for the ledger."""
+"""Evidence of a confirmed step, and the rejected candidates with their reasons: for the ledger."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ ABOUT = (
 def evidence_of(
     chosen: Mapping[str, Any], best: Scored, scores: CandidateScores, refused: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """The evidence of a step, under the names that ``diagnose`` has for candidates, and what was rejected.
+    """The evidence of a step, with the names of ``diagnose``, and the rejected candidates.
 
     Parameters
     ----------
     chosen
         The step as a verdict lists it.
     best, scores
-        The candidate behind it, and the scores that found it.
+        Its candidate, and the scores that found it.
     refused
         Candidates that were fitted before it and refused, as a verdict lists them, with the ``reason``.
     """
@@ -40,7 +40,7 @@ def evidence_of(
 
 
 def _passed_over(best: Scored, scores: CandidateScores) -> list[dict[str, Any]]:
-    """Of every effect that stood out of the noise, too, the best place that the step does not have."""
+    """The best place of every other significant effect, except the places of the step."""
     found: dict[str, Scored] = {}
     mine = set(best.candidate.terms)
     for s in sorted((s for s in scores.named if s.freedom), key=lambda s: -s.bic):
@@ -60,7 +60,7 @@ def _reason(s: Scored, best: Scored) -> str:
 
 
 def _once(entries: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Each effect and place once, as it was met first."""
+    """Each effect and place once, its first entry."""
     first: dict[tuple[Any, ...], Mapping[str, Any]] = {}
     for entry in entries:
         first.setdefault((entry["name"], *entry["where"]), entry)

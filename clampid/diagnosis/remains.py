@@ -1,15 +1,14 @@
-"""What a probe still finds in a fit's residual: structure that matters, or a note.
+"""Structure that a probe finds in the final residual: it changes the verdict, or is a note.
 
-A probe that fires, and lowers the error of rows that no fit has seen, has found something that is there. Whether a
-verdict has to say so is a matter of size. It matters where the held-out error is clearly above the noise floor (one
-sided, :data:`CLEARLY`, both known only so well as units of noise and returns tell them), or where the probe lowers it
-by at least what a diagnosis promises to find (:data:`MATTERS`). Else it is a note with its size: the held-out error is
-the noise floor's with it or without it.
+A probe that is significant and lowers the held-out error has found a real error; its size decides whether the verdict
+names it. It does if the held-out error is significantly above the noise floor (one-sided, :data:`CLEARLY`, with the
+degrees of freedom of both), or if the probe lowers it by at least the size that a diagnosis promises to find
+(:data:`MATTERS`). Otherwise it is a note with its size: the held-out error equals the noise floor with and without it.
 
-The floor of poses comes from returns and from the instrument, which no model has shaped: an error at or below it has
-no room for anything that matters. A log's is taken from what a fit leaves and may hold some of what the fit lacks, so
-that there the probe's size beside the noise of its motor decides: a note is what is clearly smaller than that (one
-sided, :data:`CLEARLY`).
+The noise floor of poses comes from repeated poses and from the instrument, independently of any model: a held-out error
+at the floor contains no error that matters. The floor of a log comes from the fit's own residual and may contain
+missing effects. So for logs the size of the probe is compared with the noise of its motor: it is a note if it is
+significantly smaller (one-sided, :data:`CLEARLY`).
 """
 
 from __future__ import annotations
@@ -47,11 +46,11 @@ class Remains:
     where
         The joint, frame or motor.
     size
-        rms of what the probe takes from the held-out error, in the stage's unit: of poses, or of the motor where it is.
+        rms of the part of the held-out error that the probe explains, in the stage's unit: of poses, or of its motor.
     p
         One-sided, of that fall.
     matters
-        Whether the verdict is to say so.
+        Whether the verdict names it.
     """
 
     depends_on: tuple[str, ...]
@@ -80,12 +79,12 @@ class Remains:
 
 
 def remains_of(
-    scores: CandidateScores, estimate: Estimate, held: HeldOut, verification: Rows | None, seed: int
+    scores: CandidateScores, estimate: Estimate, held_out: HeldOut, verification: Rows | None, seed: int
 ) -> Remains | None:
-    """What the best probe finds, if it fires and lowers the error of rows that no fit has seen; else None.
+    """The structure of the best probe, if it is significant and lowers the held-out error; else None.
 
-    Which probe is first without a fifth of the rows is not asked: of an error of several joints, each part of the rows
-    may show another joint's share best.
+    Stability over five parts is not required: with errors of several joints each part of the rows may show another
+    joint's share best.
     """
     if not scores.fires or scores.probe is None:
         return None
@@ -95,21 +94,21 @@ def remains_of(
     where, poses = scores.probe.candidate.places, estimate.problem.kind.points
 
     def size_of(share: float) -> float:
-        return float(np.sqrt(max(share, 0.0) * _per_motor(held.rows, where))) * held.rms
+        return float(np.sqrt(max(share, 0.0) * _per_motor(held_out.rows, where))) * held_out.rms
 
     size = size_of(fall.share)
     if poses:
-        large = size >= MATTERS * held.floor.norm > 0.0 and held.rms > held.floor.norm
+        large = size >= MATTERS * held_out.floor.norm > 0.0 and held_out.rms > held_out.floor.norm
     else:
         large = size_of(fall.share + float(stats.norm.isf(CLEARLY)) * fall.error) >= MATTERS
     found = variables_of(scores)
-    return Remains(tuple(found), where, size, fall.p, large or above_the_floor(held, CLEARLY))
+    return Remains(tuple(found), where, size, fall.p, large or above_the_floor(held_out, CLEARLY))
 
 
 def _per_motor(rows: Rows, where: tuple[str, ...]) -> float:
-    """How many times as many numbers the rows have as the motor to which a probe of torques belongs; of poses 1.
+    """Numbers of all motors over numbers of the motor to which a torque probe belongs; for poses 1.
 
-    What one motor shows matters beside that motor's noise, however many others there are.
+    An error of one motor is compared with that motor's noise, for any number of motors.
     """
     motors = {f"motor{k + 1}": int(count) for k, count in enumerate(rows.used.sum(axis=0))}
     if rows.kind.points or not set(where) <= set(motors):
@@ -118,10 +117,10 @@ def _per_motor(rows: Rows, where: tuple[str, ...]) -> float:
 
 
 def _fall(probe: Scored, estimate: Estimate, verification: Rows | None, seed: int) -> Fall:
-    """What a probe takes from rows that no fit has seen: as a name's, on the verification table or on the poses.
+    """Fall of the held-out error by a probe: as for names, on the verification table or on the poses.
 
-    Where the table alone, of a few visits, does not tell, the poses may, at the other half of the rate; the table's own
-    error has to fall in any case. Of what swings in time a table measured later knows nothing.
+    If the table has too few visits to decide, the poses may, at the other half of the false-alarm rate; the error of
+    the table must fall in any case. A table measured later does not test errors that vary with time.
     """
     if verification is None or probe.candidate.depends_on == ("time",):
         return cross_fitted_fall(estimate, probe, seed)
@@ -131,28 +130,28 @@ def _fall(probe: Scored, estimate: Estimate, verification: Rows | None, seed: in
     return replace(fall, p=either_p(fall.p, cross_fitted_fall(estimate, probe, seed).p))
 
 
-def above_the_floor(held: HeldOut, rate: float) -> bool:
-    """Whether a held-out error is above the noise floor by more than chance, at that rate.
+def above_the_floor(held_out: HeldOut, rate: float) -> bool:
+    """Whether a held-out error is significantly above the noise floor, at that false-alarm rate.
 
-    The mean square's variance is that of the units' sums (visits, blocks of a log); the floor's is that of its returns,
-    or, of a log, that of as many rows. Where only the instrument's maker says what the floor is, the robot's usual
-    repeatability comes on top.
+    The variance of the mean square is that of the units' sums (visits, blocks of a log). The variance of the floor is
+    that of its repeated poses or, for a log, of as many rows. If the floor is only the instrument's stated noise, the
+    robot's usual repeatability is added.
     """
-    squares, (counts, width) = held.squares, _counted(held)
-    _, unit = np.unique(blocks_of_visits(held.rows, held.block), return_inverse=True)
+    squares, (counts, width) = held_out.squares, _counted(held_out)
+    _, unit = np.unique(blocks_of_visits(held_out.rows, held_out.block), return_inverse=True)
     total, number = np.bincount(unit, squares), np.bincount(unit, counts)
     mean = float(total.sum() / max(number.sum(), 1.0))
     variance = float(np.sum((total - mean * number) ** 2)) / max(float(number.sum()), 1.0) ** 2
-    if not held.rows.kind.points:
+    if not held_out.rows.kind.points:
         return bool(mean - 1.0 > stats.norm.isf(rate) * np.sqrt(2.0 * variance))
-    floor = held.floor
+    floor = held_out.floor
     level = floor.norm**2 if floor.source == "replicates" else floor.most**2
     known = 2.0 * level**2 / (width * floor.freedom) if floor.freedom else 0.0
     return bool(mean - level > stats.norm.isf(rate) * np.sqrt(variance + known))
 
 
-def _counted(held: HeldOut) -> tuple[np.ndarray, int]:
-    """How many errors each row has ``(N,)``, and of how many coordinates a pose's is."""
-    if held.rows.kind.points:
-        return held.rows.used.any(axis=1).astype(float), 3
-    return held.rows.used.sum(axis=1).astype(float), 1
+def _counted(held_out: HeldOut) -> tuple[np.ndarray, int]:
+    """Number of errors of each row ``(N,)``, and number of coordinates of a pose's error."""
+    if held_out.rows.kind.points:
+        return held_out.rows.used.any(axis=1).astype(float), 3
+    return held_out.rows.used.sum(axis=1).astype(float), 1

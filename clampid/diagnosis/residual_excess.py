@@ -1,4 +1,4 @@
-"""An error above the noise floor with nothing confirmed: its size, the effects that cannot be seen, and the reasons.
+"""A held-out error above the noise floor without a confirmed effect: its size, unobservable effects, and reasons.
 
 Also joints that were approached or moved from one side only: direction-dependent effects cannot be identified there.
 """
@@ -20,8 +20,8 @@ from clampid.stages.rows import Rows
 
 __all__ = ["EXCESS_FACTOR", "OneSided", "excess_over_floor", "one_sided", "one_sided_words", "unseen_by_probes"]
 
-EXCESS_FACTOR = 1.3  # noise floors: of an error that is farther above, two fifths of the square are no noise
-LEAST_VISITS_OF_A_SIDE = 3  # visits or blocks from a side: fewer do not show an error that has a side
+EXCESS_FACTOR = 1.3  # noise floors: above this, two fifths of the squared error are not noise
+LEAST_VISITS_OF_A_SIDE = 3  # visits or blocks from a side: fewer do not show a direction-dependent error
 SIDES = frozenset(name for name, known in SIGNALS.items() if known.sided)
 WHY_FLOOR = {
     "replicates": "returns to a pose within minutes repeat better than the robot does over a session",
@@ -42,7 +42,7 @@ class OneSided:
     joint
         From 1.
     side
-        +1 or -1; 0 where nobody recorded any.
+        +1 or -1; 0 where none was recorded.
     other
         How many visits or blocks there are from the other side, fewer than :data:`LEAST_VISITS_OF_A_SIDE`.
     """
@@ -76,7 +76,7 @@ def one_sided(rows: Rows) -> list[OneSided]:
 def one_sided_words(found: Sequence[OneSided], rows: Rows, effects: Mapping[str, Effect]) -> str:
     """For people: the joints, and which effects depend on the side, so that they are not identifiable there; or empty.
 
-    A side that every one of the joints has is said once.
+    A side that all joints have in common is stated once.
     """
     if not found:
         return ""
@@ -97,7 +97,7 @@ def one_sided_words(found: Sequence[OneSided], rows: Rows, effects: Mapping[str,
 
 
 def unseen_by_probes(free: Sequence[Scored]) -> dict[str, list[str]]:
-    """Place → variables on which an error there could depend unseen, for the model takes up nearly all of it."""
+    """Place → variables whose dependence there is not observable, because the model absorbs nearly all of it."""
     able: dict[str, set[str]] = {}
     blind: dict[str, dict[str, None]] = {}
     for s in free:
@@ -113,7 +113,7 @@ def unseen_by_probes(free: Sequence[Scored]) -> dict[str, list[str]]:
 def excess_over_floor(
     after: float, floor: float, source: str, outliers: int, free: Sequence[Scored], few: float = 1.0
 ) -> dict[str, Any] | None:
-    """By how much a held-out error lies above its floor, and what may be the reason; None where it does not.
+    """Excess of a held-out error over its floor, with possible reasons; None where there is none.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def excess_over_floor(
     free
         The probes, scored on what the fit leaves.
     few
-        How many times the floor the error may be for the error of the estimates alone, where the rows are few.
+        The error over the floor that errors of the estimates alone explain, for few rows.
     """
     if not after > EXCESS_FACTOR * floor or not floor > 0:
         return None

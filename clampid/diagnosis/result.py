@@ -1,4 +1,4 @@
-"""What a diagnosis of one stage has found, in the form of the contract."""
+"""The result of the diagnosis of one stage, in the form of the contract."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ Verdict = Literal["adequate", "missing", "ambiguous", "unknown"]
 
 @dataclass(frozen=True)
 class Step:
-    """What is added to a stage in one go.
+    """Terms that are added to a stage together.
 
     Attributes
     ----------
     terms
-        One effect, at several places where these were tried and confirmed together.
+        One effect, at several places if these were tried and confirmed together.
     evidence
-        For the ledger: what spoke for it, under the names that a candidate of :class:`StageDiagnosis` has.
+        For the ledger, with the names of a candidate of :class:`StageDiagnosis`.
     """
 
     terms: tuple[Term, ...]
@@ -44,15 +44,15 @@ class Step:
 
 @dataclass(repr=False)
 class StageDiagnosis:
-    """What was found in one stage; :meth:`to_json` gives the contract's form.
+    """The result of one stage; :meth:`to_json` gives the contract's form.
 
-    ``steps``: what was confirmed, one after the other, each on top of those before it. ``scores``: the last ones, on
-    what the fit with them leaves. ``remains``: patterns too small to matter. ``agreeing``: rows far off that agree with
-    each other, and are therefore no outliers. ``rows``: how many there are, outliers among them. ``folds``: which parts
-    of runs were held out, where these were not whole. ``open``: the fit with one of each group of what these rows
-    cannot distinguish: what later stages take over, because the parameters' errors in it have room for that. ``alike``:
-    of groups in which it makes no difference which it is, one, as steps that may be added; ``fitted`` has them.
-    ``in_order``: these and ``steps``, as they were found.
+    ``steps``: confirmed steps, each on top of those before it. ``scores``: the last ones, on the residual of the fit
+    with all steps. ``remains``: patterns too small to matter. ``agreeing``: rows with large residuals that agree with
+    each other, and are therefore no outliers. ``rows``: their number, including outliers. ``folds``: held-out parts of
+    runs, if runs were not held out as a whole. ``open``: the fit with one of each group of candidates that these rows
+    do not distinguish; later stages use it, because its standard errors include this ambiguity. ``alike``: one of each
+    group whose members give the same predictions everywhere, as steps that may be added; ``fitted`` has them.
+    ``in_order``: these and ``steps``, in the order in which they were found.
     """
 
     stage: Stage
@@ -78,7 +78,7 @@ class StageDiagnosis:
     testability: list[dict[str, Any]] = field(default_factory=list)
     summary: str = ""
     warnings: list[str] = field(default_factory=list)
-    above: dict[str, Any] | None = None
+    floor_excess: dict[str, Any] | None = None
     one_sided: list[OneSided] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     fitted: FittedStage | None = None
@@ -114,7 +114,7 @@ class StageDiagnosis:
         return [term for step in self.steps for term in step.terms]
 
     def ask_for(self, proposed: NextPlan, otherwise: Sequence[str]) -> None:
-        """Set down which measurements part the candidates, and what else would part those that none do."""
+        """Record the measurements that distinguish the candidates, and other means for pairs that none distinguish."""
         self.next_plan = proposed
         self.next_measurement = "; ".join([proposed.sentence, *dict.fromkeys(otherwise)])
 
@@ -140,7 +140,7 @@ class StageDiagnosis:
             "omission": self.omission,
             "exported_shift": self.exported_shift,
             "testability": self.testability,
-            "above_floor": self.above,
+            "above_floor": self.floor_excess,
             "one_sided": [found.to_json() for found in self.one_sided],
             **({} if self.folds is None else {"folds": self.folds.to_json()}),
             "summary": self.summary,

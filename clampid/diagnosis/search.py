@@ -23,26 +23,26 @@ SEARCH_ROUNDS = 8
 
 @dataclass(frozen=True)
 class Searched:
-    """What a search has found.
+    """The result of a search.
 
     Attributes
     ----------
     before
-        Errors of the first fit on rows that it has not seen.
+        Held-out errors of the first fit.
     first_look
-        At what the first fit leaves.
+        Scores on the residual of the first fit.
     steps
-        What was confirmed.
+        Confirmed steps.
     taken
-        Groups of candidates that these rows cannot distinguish, of which the model has one since.
+        Groups of candidates that these rows cannot distinguish, one of which was added to the model.
     undecided
-        Such groups, of which it has none.
+        Such groups without a member in the model.
     refused
-        What was refused in the last round, as listed.
-    fitted, held, scores
-        The last fit, its errors on rows that it has not seen, and the scores on what it leaves.
+        Candidates refused in the last round, as listed.
+    fitted, held_out, scores
+        The last fit, its held-out errors, and the scores on its residual.
     wander
-        By how much readings wander, at most, where what was found is fitted along (:mod:`clampid.diagnosis.wandering`).
+        By how much readings wander, at most, with everything found in the model (:mod:`clampid.diagnosis.wandering`).
     """
 
     before: HeldOut
@@ -52,7 +52,7 @@ class Searched:
     undecided: list[Undecided]
     refused: list[dict[str, Any]]
     fitted: FittedStage
-    held: HeldOut
+    held_out: HeldOut
     scores: CandidateScores
     wander: float
 
@@ -65,18 +65,18 @@ class Searched:
 
 
 def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
-    """Look for what a fit lacks; parts of runs to hold out instead, where whole runs would not test a candidate.
+    """Search for missing effects; returns parts of runs to hold out instead if whole runs would not test a candidate.
 
-    Of candidates that these rows cannot distinguish the model takes one where it makes no difference which, and the
-    search goes on: what it leaves would else hide other effects. Of poses it takes none: what is one model on these
-    places the flange differently at others.
+    If these rows cannot distinguish candidates whose predictions are the same everywhere, one of them is added and the
+    search goes on; otherwise their residual would hide other effects. In poses none is added: models that agree on
+    these poses give other flange positions elsewhere.
     """
     rows, effects = fitted.estimate.problem.rows, bench.effects
     scores = bench.scores(fitted, 0)
     if bench.folds is None and (finer := folds_of(rows, _on_trial(scores), effects)) is not None:
         return finer
     before, first_scores = bench.held_out(fitted), scores.remembered
-    held = before
+    held_out = before
     steps: list[Confirmed] = []
     taken: list[Taken] = []
     undecided: list[Undecided] = []
@@ -84,30 +84,30 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     dropped: set[str] = set()
     wander = 0.0
     for number in range(1, SEARCH_ROUNDS + 1):
-        tried, others = bench.decided(scores, fitted, held)  # a ranking is valid for one step
+        tried, others = bench.decided(scores, fitted, held_out)  # a ranking is valid for one step
         finer = bench.folds or folds_of(rows, _on_trial(scores, others), effects)
         if finer is not None and finer is not bench.folds:
             return finer
-        refused = [t.refusal(effects, held) for t in others]
+        refused = [t.refusal(effects, held_out) for t in others]
         if isinstance(tried, Undecided) and not rows.kind.points and tried.alike(effects, bench.elsewhere):
-            taken.append(bench.taken(tried, fitted, held, len(steps)))
-            fitted, held = taken[-1].fitted, taken[-1].held
+            taken.append(bench.taken(tried, fitted, held_out, len(steps)))
+            fitted, held_out = taken[-1].fitted, taken[-1].held_out
         else:
             if isinstance(tried, Undecided):
-                tried, undecided, only_beside, beside = bench.beside(tried, fitted, held, number)
-                wander = max(wander, beside)
-                refused += [t.refusal(effects, held) for t in only_beside]
+                given = bench.confirm_given_ambiguity(tried, fitted, held_out, number)
+                tried, undecided, wander = given.found, given.groups, max(wander, given.wander)
+                refused += [t.refusal(effects, held_out) for t in given.refused]
             if tried is None:
                 break
-            steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held, tuple(refused))], dropped)
-            fitted, held = steps[-1].tried.fitted, steps[-1].tried.held
+            steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held_out, tuple(refused))], dropped)
+            fitted, held_out = steps[-1].tried.fitted, steps[-1].tried.held_out
         scores = scores.remembered  # the whole is as large as its rows, and the next is about to be made
         scores = bench.scores(fitted, 2 * number)
     wander = max(wander, scores.wander)
-    return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held, scores, wander)
+    return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held_out, scores, wander)
 
 
 def _on_trial(scores: CandidateScores, refused: Sequence[Tried] = ()) -> list[Candidate]:
-    """The candidates that come to trial: the best name of some scores, and those that were refused after it."""
+    """The candidates on trial: the best name of some scores, and those that were refused after it."""
     best = scores.best()
     return [*([] if best is None else [best.candidate]), *(t.best.candidate for t in refused)]

@@ -1,8 +1,7 @@
-"""What parts look-alikes: for pairs of effects that the same rows cannot distinguish, the measurement that would.
+"""The measurement that distinguishes two effects which the same rows cannot distinguish.
 
-Whether more of the same would is worked out from the rows (:mod:`clampid.diagnosis.propose`). Where that is not so, it
-takes something else: what the effects' own files say of a pair, or else a sensor where only one of the two acts, or
-another experiment.
+:mod:`clampid.diagnosis.propose` computes whether more rows of the same kind would. If they would not, the effects' own
+files name a measurement for the pair; else it is a sensor where only one of the two acts, or another experiment.
 """
 
 from __future__ import annotations
@@ -22,11 +21,11 @@ _SENSORS: Mapping[str, str] = {
     "measurement": "a certified distance between two targets",
     "link_twist": "a target on the link itself",
 }
-"""Station → what sees a deviation there, and no other's."""
+"""Station → a sensor that sees a deviation there and at no other station."""
 
 
 def _separators(effects: Mapping[str, Effect]) -> dict[frozenset[str], Separator]:
-    """Two families → what separates them, as the effects' own files say."""
+    """Two families → the measurement that separates them, from the effects' own files."""
     return {frozenset((e.family, s.family)): s for e in effects.values() for s in e.search.separators}
 
 
@@ -41,7 +40,7 @@ def separating_measurement(families: Iterable[str], effects: Mapping[str, Effect
 
 
 def something_else(pair: Sequence[str], effects: Mapping[str, Effect], stage: Stage) -> str:
-    """A sentence on what parts two effects, given by name, where no measurement of a stage does."""
+    """A sentence on how to distinguish two effects, given by name, if no measurement of a stage does."""
     a, b = (effects[name] for name in pair)
     separator = _separators(effects).get(frozenset((a.family, b.family)))
     if separator is not None and not separator.same_stage:

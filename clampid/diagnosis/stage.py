@@ -1,4 +1,4 @@
-"""The diagnosis of one stage: what a search has found, set down as a verdict with its evidence."""
+"""The diagnosis of one stage: the result of a search as a verdict with its evidence."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from clampid.stages.stage_kind import kind_of
 
 __all__ = ["diagnose_stage"]
 
-FAR_OFF = 2.0  # of what may be noise: so much is none, even if the makers of instrument and robot were optimists
+FAR_OFF = 2.0  # of the largest plausible noise: more is not noise, even if the stated accuracies are optimistic
 
 Propose = Callable[[Estimate, Sequence[Scored], float], NextPlan | None]
 
@@ -55,7 +55,7 @@ def diagnose_stage(fitted: FittedStage, bench: Bench, propose: Propose | None = 
     Parameters
     ----------
     bench
-        What every trial needs: effects, other fits, rows to verify by, seeds.
+        Inputs of every trial: effects, other fits, rows to verify by, seeds.
     propose
         Looks for measurements that separate candidates, given the fit, the candidates and the residual's scale.
     """
@@ -82,11 +82,11 @@ def _warn(result: StageDiagnosis, sentence: str) -> None:
 
 
 def _searched(fitted: FittedStage, bench: Bench) -> tuple[Bench, Searched]:
-    """What a search finds, and the bench with the parts of the rows by which it was judged.
+    """The result of a search, and the bench with the parts of the rows that were held out.
 
-    Where a candidate comes to trial that whole runs would not test, everything is judged by parts of runs instead, from
-    the start. Likewise where the last fit's readings wander more than those by which something was found: what a model
-    lacks hides how much they do, and what is slow was then found too easily.
+    If whole runs would not test a candidate on trial, the search starts again with parts of runs held out. It also
+    starts again if the readings wander more in the last fit than where something was found: the missing effect had
+    hidden part of their wandering, so that slow changes were confirmed too easily.
     """
     outcome = search(bench, fitted)
     if isinstance(outcome, Folds):
@@ -97,14 +97,14 @@ def _searched(fitted: FittedStage, bench: Bench) -> tuple[Bench, Searched]:
 
 
 def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Propose | None) -> StageDiagnosis:
-    """The verdict on what was searched, with its evidence."""
+    """The verdict on a search, with its evidence."""
     stage, effects, floor = fitted.estimate.problem.stage, bench.effects, bench.floor
     verification, seed = bench.verification, bench.seed
     result = StageDiagnosis(stage, kind_of(stage).error_unit)
     result.folds, first, fitted = bench.folds, fitted.estimate, outcome.fitted
     result.noise_floor = floor.norm if kind_of(stage).points else 1.0
-    held, scores, probe = outcome.held, outcome.scores, outcome.first_scores.probe
-    result.before, result.after = outcome.before.rms_beside(held), held.rms_beside(outcome.before)
+    held_out, scores, probe = outcome.held_out, outcome.scores, outcome.first_scores.probe
+    result.before, result.after = outcome.before.rms_beside(held_out), held_out.rms_beside(outcome.before)
     result.depends_on = list(probe.candidate.depends_on) if outcome.first_scores.fires and probe is not None else []
     refused = _set_down(result, outcome.steps, outcome.refused, effects, fitted.estimate)
     if outcome.taken or outcome.undecided:
@@ -115,11 +115,11 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     # Of what is not in the model now: before a large effect was added, its residual hid much of what shows without it.
     result.testability = testability_of(scores.named, scores.named_null, effects, first.problem.rows.robot)
     result.considered = [*refused, *considered_of(scores.named, scores.named_null)]
-    tested = None if verification is None else held.rows
-    result.outliers = _rejected(fitted.estimate, verification, held)
+    tested = None if verification is None else held_out.rows
+    result.outliers = _rejected(fitted.estimate, verification, held_out)
     few = estimates_share(fitted.estimate, verification is not None)
     excess = result.after > FAR_OFF * few * (floor.most if kind_of(stage).points else 1.0)
-    left = remains_of(scores, fitted.estimate, held, tested, seed)
+    left = remains_of(scores, fitted.estimate, held_out, tested, seed)
     if result.verdict != "ambiguous" and (excess or (left is not None and left.matters)):
         _unknown(result, scores, fitted.estimate, seed)
     elif left is not None and not left.matters:
@@ -133,12 +133,12 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     return result
 
 
-def _rejected(estimate: Estimate, verification: Rows | None, held: HeldOut) -> list[dict[str, Any]]:
+def _rejected(estimate: Estimate, verification: Rows | None, held_out: HeldOut) -> list[dict[str, Any]]:
     """Rows that the last fit and the table verification are without: what the first fit lacked moved rows, too."""
     if verification is None:
         return outliers_of(estimate)
-    wrong = np.any(verification.used & ~held.rows.used, axis=1)
-    return [*outliers_of(estimate), *listed_outliers(verification, held.residual, wrong)]
+    wrong = np.any(verification.used & ~held_out.rows.used, axis=1)
+    return [*outliers_of(estimate), *listed_outliers(verification, held_out.residual, wrong)]
 
 
 def _set_down(
@@ -148,7 +148,7 @@ def _set_down(
     effects: dict[str, Effect],
     estimate: Estimate,
 ) -> list[dict[str, Any]]:
-    """Set down what was confirmed; what was refused, in the ``last`` round too, and never confirmed is given back."""
+    """Record the confirmed steps; return the refused candidates, those of the ``last`` round too, not confirmed."""
     for confirmed in steps:
         entry = confirmed.entry(effects, estimate)
         result.candidates.append(entry)
@@ -164,9 +164,9 @@ def _set_down(
 def _in_words(
     result: StageDiagnosis, scores: CandidateScores, source: str, rows: Rows, effects: dict[str, Effect], few: float
 ) -> None:
-    """Set down the verdict in words, with what an error above the floor may be, and joints seen from one side only."""
+    """Record the verdict in words, with reasons for an error above the floor, and joints approached from one side."""
     if result.verdict in ("adequate", "missing"):
-        result.above = excess_over_floor(
+        result.floor_excess = excess_over_floor(
             result.after, result.noise_floor, source, len(result.outliers), scores.free, few
         )
     result.one_sided = one_sided(rows)
@@ -180,7 +180,7 @@ def _in_words(
 def _undecided(
     result: StageDiagnosis, outcome: Searched, effects: dict[str, Effect], bench: Bench, propose: Propose | None
 ) -> None:
-    """Set down candidates that these rows cannot distinguish, the first group first, and what would part that."""
+    """Record candidates that these rows cannot distinguish, and a measurement that distinguishes the first group."""
     result.verdict = "ambiguous"
     fitted, taken = outcome.fitted, {id(t.group): t for t in outcome.taken}
     groups = [*(t.group for t in outcome.taken), *outcome.undecided]
@@ -189,9 +189,9 @@ def _undecided(
         for s in group.members:
             before, after = result.after, None
             if here is not None:
-                before = here.before.rms_beside(here.held)
+                before = here.before.rms_beside(here.held_out)
                 fitted_along = s is group.members[0]
-                after = here.held.rms_beside(here.before) if fitted_along else bench.alone(here.base, s)
+                after = here.held_out.rms_beside(here.before) if fitted_along else bench.alone(here.base, s)
             elif number == 1:  # those beside them were found in another fit
                 after = bench.alone(fitted, s)
             scores = group.scores
@@ -216,7 +216,7 @@ def _undecided(
 
 
 def _unknown(result: StageDiagnosis, scores: CandidateScores, estimate: Estimate, seed: int) -> None:
-    """Set down that something is left which no name explains, and on what it depends and how, if a probe tells."""
+    """Record that no name explains the rest, with its variables and shape if a probe is significant."""
     result.verdict = "unknown"
     result.depends_on = variables_of(scores) if scores.fires else []
     result.considered = with_stand_ins(result.considered, scores) + considered_of(scores.free, scores.free_null, 5)

@@ -1,4 +1,4 @@
-"""What rows can determine: the state of each candidate, and the smallest parameter that would have been found."""
+"""Testability: the state of each candidate, and the detection limit of each parameter."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def testability_of(
 ) -> list[dict[str, Any]]:
     """For each candidate its state and the smallest parameter that is found with 90 % probability.
 
-    A limit larger than anything that the parameter can be is None: no such effect would be seen, and where that is so
-    of all parameters the candidate is ``insensitive`` instead of ``testable``. Beside each limit stands the ``size``
-    that the parameter may reasonably have.
+    A limit above every possible value of the parameter is None: no such effect would be found. If this holds for all
+    parameters, the candidate is ``insensitive`` instead of ``testable``. Each limit is listed with the plausible
+    ``size`` of the parameter.
     """
     out, factor = [], {}
     for s in named:

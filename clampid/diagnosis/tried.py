@@ -1,4 +1,4 @@
-"""What a trial of candidates ends in: one with its fit, several that rows cannot separate, or one of those taken."""
+"""Outcomes of a trial: one candidate with its fit, several that the rows cannot distinguish, or one of those taken."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
 from clampid.stages.stage_kind import acts_with, stages_with
 
-__all__ = ["Beside", "Taken", "Tried", "Undecided"]
+__all__ = ["GivenAmbiguity", "Taken", "Tried", "Undecided"]
 
 ONE = 1.0  # what chance explains by one number, in units of the residual's variance
 
 
 @dataclass(frozen=True)
 class Tried:
-    """A candidate with its fit, and how it did on rows that the fit has not seen.
+    """A candidate with its fit and its held-out errors.
 
     Attributes
     ----------
     reason
         Why it is refused; empty if it is not.
     confusable
-        Of what is not refused, other effects that share most of its columns, as the contract lists them.
+        If it is not refused, other effects that are most correlated with it, as the contract lists them.
     """
 
     best: Scored
     scores: CandidateScores
     fitted: FittedStage
     kept: list[Term]
-    held: HeldOut
+    held_out: HeldOut
     p_held_out: float
     stability: float
     reason: str
@@ -45,7 +45,7 @@ class Tried:
 
     def entry(self, effects: dict[str, Effect], before: HeldOut, estimate: Estimate) -> dict[str, Any]:
         """As the contract lists it, the held-out errors without it given, and the fit that has its parameters."""
-        null, errors = self.scores.named_null, (before.rms_beside(self.held), self.held.rms_beside(before))
+        null, errors = self.scores.named_null, (before.rms_beside(self.held_out), self.held_out.rms_beside(before))
         return {
             **entry_of(self.best, null, effects, errors, estimate, self.kept),
             "stability": self.stability,
@@ -56,7 +56,7 @@ class Tried:
     def refusal(self, effects: dict[str, Effect], before: HeldOut, reason: str = "") -> dict[str, Any]:
         """The same of one that is refused, with its reason or another; its parameters are the score's."""
         scale = self.scores.space.scale
-        errors = (before.rms_beside(self.held), self.held.rms_beside(before))
+        errors = (before.rms_beside(self.held_out), self.held_out.rms_beside(before))
         entry = entry_of(self.best, self.scores.named_null, effects, errors, scale=scale)
         outcome = {"stability": self.stability, "p_held_out": self.p_held_out, "reason": reason or self.reason}
         return {**entry, **outcome}
@@ -70,7 +70,7 @@ class Undecided:
     scores: CandidateScores
 
     def alike(self, effects: Mapping[str, Effect], elsewhere: Collection[Stage]) -> bool:
-        """Whether it makes no difference which it is: they explain the same, and no rows of other stages read any."""
+        """Whether their predictions are the same everywhere: they explain the same, and no other stage reads them."""
         first, *others = self.members
         for s in others:
             both = explained_together(self.scores.space, first, s)
@@ -79,35 +79,35 @@ class Undecided:
         return not any(set(elsewhere) & set(stages_with(effects[s.candidate.name])) for s in self.members)
 
     def taken(self, effects: Mapping[str, Effect]) -> Undecided:
-        """The same, first one that acts in no pose, if there is any: a model of torques is to move no flange."""
+        """The same, with one that does not act in poses first, if there is any: torques should not move the flange."""
         order = sorted(self.members, key=lambda s: acts_with(effects[s.candidate.name], "points"))
         return replace(self, members=order)
 
 
 class Taken(NamedTuple):
-    """Undecided candidates of which a model has the first, since it makes no difference which of them it is.
+    """Undecided candidates with the same predictions everywhere, of which a model has the first.
 
-    ``base`` and ``before``: the model and its errors on rows not fitted without it; ``after``: how many steps it came.
+    ``base`` and ``before``: the model and its held-out errors without it; ``after``: number of steps before it.
     """
 
     group: Undecided
     base: FittedStage
     before: HeldOut
     fitted: FittedStage
-    held: HeldOut
+    held_out: HeldOut
     after: int
 
 
-class Beside(NamedTuple):
-    """What is missing beside groups of candidates that these rows cannot distinguish.
+class GivenAmbiguity(NamedTuple):
+    """Effects that are missing whichever of some indistinguishable candidates is the true one.
 
     Attributes
     ----------
     found, groups, refused
-        What is confirmed beside them, and no group; else none, all such groups, and what lowers the error only beside
-        them.
+        The confirmed effect, and no group; or None, the groups of indistinguishable candidates, and effects that lower
+        the error only together with them.
     wander
-        By how much readings wander where these are fitted along (:mod:`clampid.diagnosis.wandering`).
+        By how much readings wander with the candidates in the model (:mod:`clampid.diagnosis.wandering`).
     """
 
     found: Tried | None

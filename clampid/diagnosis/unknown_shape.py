@@ -1,9 +1,9 @@
-"""The shape of what no known effect explains: its dependence on the variables that the verdict names, with a band.
+"""The shape of an unexplained error: its dependence on the variables that the verdict names, with a confidence band.
 
-The shape is the very effect that ``clampid effect new`` would write for these variables at this place, fitted to the
-residual in one linear step along with all active parameters. How fine it is, harmonics or powers, the score-BIC says.
-The band is simultaneous: with 95 % probability the whole curve lies inside, and not only a point of it. Its width
-follows from the residuals' own scatter from unit to unit (poses, blocks of a log), so that it needs no noise model.
+The shape is the effect that ``clampid effect new`` would write for these variables at this place, fitted to the
+residual in one linear step together with all active parameters. The score-BIC selects its order of harmonics or powers.
+The band is simultaneous: with 95 % probability it contains the whole curve. Its width follows from the scatter of the
+residuals from unit to unit (poses, blocks of a log), so it needs no noise model.
 
 Source of the covariance: White, Econometrica 48, 1980, with units for rows (Liang and Zeger, Biometrika 73, 1986) and
 MacKinnon and White's jackknife (J. Econometrics 29, 1985); of the band: the maximum of a Gaussian process over the
@@ -34,12 +34,12 @@ from clampid.stages.rows import Array, Rows
 __all__ = ["shape_of"]
 
 FINEST = (8, 3)  # orders tried of one variable, and of each of two
-MOST_VARIABLES = 2  # variables; a shape over more of them nobody can look at
+MOST_VARIABLES = 2  # variables; a shape over more of them cannot be drawn
 GRID_POINTS = 61
 COVERED = 0.95
 BAND_DRAWS = 4000
-SINGULAR = 1e-6  # of a direction that only one unit tells
-EDGES = (0.01, 0.99)  # of a variable's values: beyond them hardly a row tells anything
+SINGULAR = 1e-6  # of a direction that only one unit determines
+EDGES = (0.01, 0.99)  # of a variable's values: beyond them there are hardly any rows
 SECTIONS = (0.1, 0.5, 0.9)  # of the second variable, at which the curve over the first is drawn
 
 
@@ -57,12 +57,12 @@ class _Fitted:
 def shape_of(
     estimate: Estimate, space: Space, probe: Scored, depends_on: Sequence[str], seed: int
 ) -> dict[str, Any] | None:
-    """The shape of what a probe has found, as the JSON of ``diagnose`` has it; None where it has none to show.
+    """The shape of a probe's error, as in the JSON of ``diagnose``; None where there is none to show.
 
     Parameters
     ----------
     space
-        The residual, and what the active parameters can absorb of it.
+        The residual, and the columns of the active parameters, which can absorb parts of it.
     probe
         The best probe: its place is where the shape sits.
     depends_on
@@ -136,15 +136,14 @@ def _part(whole: Candidate, module: ModuleType) -> Candidate:
     pieces = whole.columns.pieces if isinstance(whole.columns, Columns) else ()
     columns = Columns(tuple((start, block[:, chosen]) for start, block in pieces), len(chosen))
     slots = tuple(whole.slots[k] for k in chosen)
-    return replace(whole, slots=slots, columns=columns, reasonable=None)  # nobody knows its size
+    return replace(whole, slots=slots, columns=columns, reasonable=None)  # its size is unknown
 
 
 def _scatter(space: Space, s: Scored) -> Array:
-    """A root ``(f, f)`` of the covariance of the amplitudes, from how much each unit of rows pulls them.
+    """A root ``(f, f)`` of the covariance of the amplitudes, from the influence of each unit of rows.
 
-    A unit's residual is taken as it is when the fit does not know that unit (the jackknife), for a fit comes too near
-    to what it was fitted to, the more so where few rows are: r + B (1 - B'B)^-1 B'r with B the unit's rows of all
-    orthonormal directions.
+    A unit's residual is that of the fit without the unit (the jackknife), because the residual of the full fit is too
+    small, the more so with few rows: r + B (1 - B'B)^-1 B'r with B the unit's rows of all orthonormal directions.
     """
     directions = (s.candidate.columns.dense(len(space.residual)) - space.basis @ s.absorbed) @ s.weights
     left = space.residual - directions @ s.amplitude
@@ -199,7 +198,7 @@ def _curves(rows: Rows, found: Dependence, fitted: _Fitted, seed: int) -> Iterat
 
 
 def _width(root: Array, seed: int) -> float:
-    """How many standard errors a band is wide that holds all points ``(G, f)`` at once with 95 % probability."""
+    """Half width, in standard errors, of a band that contains all points ``(G, f)`` at once with 95 % probability."""
     spread = np.linalg.norm(root, axis=1)
     varying = spread > 1e-12 * max(float(spread.max(initial=0.0)), 1e-300)
     if not varying.any():
@@ -210,7 +209,7 @@ def _width(root: Array, seed: int) -> float:
 
 
 def _grid(v: Variable, values: Array) -> Array:
-    """Where along a variable the curve is drawn: over the values that rows have, or both directions."""
+    """Values of a variable at which the curve is drawn: over the range of the rows, or both directions."""
     if v.basis == "sign":
         return np.array([-1.0, 1.0])
     low, high = np.quantile(values, EDGES)
@@ -245,7 +244,7 @@ def _observed(v: Variable, rows: Rows) -> Array:
 
 
 def _load(v: Variable, rows: Rows) -> Array:
-    """The load of a joint in poses, of a motor elsewhere: what the description says, or what a clamped motor had."""
+    """The load of a joint in poses, of a motor elsewhere: from the description, or measured by a clamped motor."""
     index = v.index or 0
     if rows.kind.points:
         return np.asarray(rows.signals["gravity_torque"][:, index])

@@ -1,15 +1,15 @@
-"""Whether a measurement's noise wanders, beside what stands out of a fit's residual.
+"""Test whether a measurement's noise wanders (a random walk of its zero), given the significant candidates.
 
-Signs are flipped visit by visit, or block by block of a log. Where the zero of a reading walks away for minutes, blocks
-are not independent, and whatever changes slowly explains "too much": an offset, a temperature, the time. What a model
-lacks may change slowly too. So readings are said to wander in two cases:
+Signs are flipped visit by visit, or block by block of a log. If the zero of a reading walks for minutes, blocks are not
+independent, and every slow variable becomes falsely significant: an offset, a temperature, the time. But a missing
+effect may be slow too. So readings count as wandering in two cases:
 
-* beside the best name and the best probe that stand out. If they say all that is slow, nothing is left to wander.
-* where one number, how much they wander, is likelier than the best of both with all its numbers. Evidence is twice the
-  logarithm of the likelihood, less the logarithm of the count for each number (Schwarz, Ann. Stat. 6, 1978).
+* in addition to the best significant name and probe. If these explain all slow changes, none are left.
+* if one parameter, the size of the walk, is likelier than the best of both with all its parameters. Evidence is twice
+  the log-likelihood, less the logarithm of the count for each parameter (Schwarz, Ann. Stat. 6, 1978).
 
-In neither if a smooth function of time is likelier still, as an instrument's swing with the time of day. That is no
-chance, and may be found missing.
+In neither case if a smooth function of time is likelier still, such as an instrument's drift with the time of day. That
+is a systematic error, which may be found as a missing effect.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ LARGEST_SHARE_OF_COLUMNS = 0.2  # of the numbers of a channel, that may be colum
 
 
 def with_wander(estimate: Estimate, beside: Sequence[Scored], least: float = 0.0) -> Estimate | None:
-    """The same estimate with noise that wanders, or None where none is seen to.
+    """The same estimate with wandering noise, or None where wandering is not significant.
 
     The coordinates of a point wander alike, and so do the readings of a log's motors, each in units of its noise.
 
     Parameters
     ----------
     beside
-        What stands out of the residual and may say it all, the clearest first.
+        Significant candidates that may explain all slow changes, the most significant first.
     least
-        By how much readings are known to wander at least: variance per step over that of a number.
+        Known lower limit of the wandering: variance per step over that of a number.
     """
     rows, white = estimate.problem.rows, estimate.whitened
     if rows.kind.solved or not len(white.residual):
@@ -100,7 +100,7 @@ def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Scored
 
 
 def _smooth(rows: Rows, white: Whitened, mine: Mapping[int, slice]) -> Array:
-    """Slow cosines of the time of measurement ``(M, k)``, for each channel its own: what is smooth does not wander."""
+    """Slow cosines of the time of measurement ``(M, k)``, for each channel: smooth changes are not wandering."""
     out = np.zeros((len(white.residual), COSINES * len(mine)))
     for number, own in enumerate(mine.values()):
         time = rows.constants.time[white.entry[own]]
@@ -110,7 +110,7 @@ def _smooth(rows: Rows, white: Whitened, mine: Mapping[int, slice]) -> Array:
 
 
 def _evidence(white: Whitened, active: Sequence[Array], mine: Mapping[int, slice], columns: Array) -> float:
-    """What columns ``(M, k)`` explain of a residual beside others, in units of its variance, less their cost."""
+    """Squares of a residual that columns ``(M, k)`` explain besides others, in units of variance, less their cost."""
     own = np.concatenate([np.arange(s.start, s.stop) for s in mine.values()])
     others = np.vstack(active)
     everything = np.hstack([others, columns[own], white.residual[own, None]])

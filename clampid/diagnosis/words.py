@@ -1,4 +1,4 @@
-"""A verdict in words, and what stands beside it: outliers, and what an omission did to other parameters."""
+"""A verdict in words, with its notes: outliers, and the bias of other parameters by an omission."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def listed_outliers(rows: Rows, residual: Array, bad: Bools) -> list[dict[str, A
 
 
 def omission_of(before: Estimate, after: Estimate) -> list[dict[str, Any]]:
-    """What the omission had done to the parameters that were fitted anyway: shifts beyond their standard error.
+    """Bias of the other fitted parameters by the omission: shifts beyond their standard error.
 
-    Of parameters that both fits determine: what one of them does not has no value that could have shifted.
+    Only of parameters that both fits determine; others have no value that could shift.
     """
     if before is after:
         return []
@@ -60,13 +60,13 @@ def omission_of(before: Estimate, after: Estimate) -> list[dict[str, Any]]:
 
 
 def summary_of(result: StageDiagnosis) -> str:
-    """The verdict in a few sentences: what was missing, the errors, what is left, and how many rows were rejected."""
+    """The verdict in a few sentences: missing effects, errors, unexplained structure, and rejected rows."""
     notes = [found.sentence(result.unit, result.noise_floor) for found in result.remains]
     return " ".join([_verdict(result), *notes, *_dropped(result)])
 
 
 def _dropped(result: StageDiagnosis) -> list[str]:
-    """How many rows were rejected, where they are more than a clean table shows by chance."""
+    """The number of rejected rows, if it is more than chance in a clean table."""
     count = len(result.outliers)
     if count < FEW_OUTLIERS:
         return []
@@ -94,8 +94,8 @@ def _verdict(result: StageDiagnosis) -> str:
         start = f"{what[:1].upper()}{what[1:]} {were} missing. {fall} "
     error = "" if confirmed else f" Held-out error {shown(result.after)}; {floor}."
     match result.verdict:
-        case "adequate" | "missing" if result.above is not None:
-            return start + _above(result.above, shown(result.after), floor, bool(start))
+        case "adequate" | "missing" if result.floor_excess is not None:
+            return start + _floor_excess(result.floor_excess, shown(result.after), floor, bool(start))
         case "adequate":
             return (
                 f"No missing effect was found. Held-out error {shown(result.before)}; {floor}. An effect above its "
@@ -128,13 +128,13 @@ def _verdict(result: StageDiagnosis) -> str:
             )
 
 
-def _above(above: Mapping[str, Any], error: str, floor: str, further: bool) -> str:
-    """That no effect was found though the error lies above the noise, with figures and what may be the reason."""
-    unseen = "; ".join(f"{place}: {', '.join(variables)}" for place, variables in above["unseen"].items())
+def _floor_excess(excess: Mapping[str, Any], error: str, floor: str, further: bool) -> str:
+    """Statement that no effect was found although the error lies above the noise, with figures and possible reasons."""
+    unseen = "; ".join(f"{place}: {', '.join(variables)}" for place, variables in excess["unseen"].items())
     blind = f" The model absorbs errors that depend on these variables: {unseen}." if unseen else ""
     return (
         f"No {'further ' if further else 'missing '}effect was confirmed, but the held-out error is {error}: "
-        f"{above['times_floor']:.2g} times the {floor}. {100 * above['share_of_square']:.0f} % of its square are not "
-        f"noise. Possible reasons: {'; '.join(above['reasons'])}.{blind} An effect above its detection limit would "
+        f"{excess['times_floor']:.2g} times the {floor}. {100 * excess['share_of_square']:.0f} % of its square are not "
+        f"noise. Possible reasons: {'; '.join(excess['reasons'])}.{blind} An effect above its detection limit would "
         "have been found with 90 % probability."
     )

@@ -1,6 +1,6 @@
-"""An instrument of distances whose zero is not at its anchor: a draw-wire's reel, a ballbar's ends, a ranger's own way.
+"""Zero error of a distance instrument: a draw-wire's reel, a ballbar's ends, the internal path of a laser ranger.
 
-Anchors may belong to one instrument or to several, so that each has its own. Points do not tell it.
+Each anchor has its own constant, because anchors may belong to several instruments. Points do not identify it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ EFFECT = Effect(
     name="additive_constant",
     family="instrument_scale",
     acts={"measurement": error},
-    parameters=(Parameter("c", "m", 1e-3, "anchor", meaning="what distances from the anchor are too long by"),),
+    parameters=(Parameter("c", "m", 1e-3, "anchor", meaning="error of distances from the anchor, > 0: too long"),),
     needs=("anchor_is", "anchor_way"),
     stages=("poses",),
     equation="dd = c",

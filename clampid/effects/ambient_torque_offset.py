@@ -20,14 +20,14 @@ EFFECT = Effect(
         Parameter(
             "b", "Nm", 10.0, "joint", meaning="offset of the torque reading at 20 degC, at the motor", gearing=-1
         ),
-        Parameter("drift", "Nm/K", 1.0, "joint", meaning="what the offset gains per kelvin, at the motor", gearing=-1),
+        Parameter("drift", "Nm/K", 1.0, "joint", meaning="change of the offset per kelvin, at the motor", gearing=-1),
     ),
     needs=("ambient_temperature",),
     stages=("free_air", "clamped"),
     equation="tau_motor = b_0 + b_T (T_a - T_0)",
     source=("VIM",),
 )
-"""At which temperature a reading was zeroed nobody knows, so that its drift is never found without an offset.
+"""The temperature at which a reading was zeroed is unknown, so the drift is always fitted together with an offset.
 
 Source: VIM 4.22, variation due to an influence quantity.
 """

@@ -1,4 +1,4 @@
-"""Clearance: the joint lags half the gap behind its motor, on the side that the transmitted torque holds it."""
+"""Clearance: the joint is half the gap off its motor, on the flank against which the transmitted torque presses."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A base that creeps with the logarithm of time, as grout, anchors and bolted joints do, each session anew.
 
-Beside the base's own place, which each session has anyway, only what changes in the course of it is told. An instrument
-that creeps on its stand moves all points in the same way: no pose parts the two.
+The pose of the base is a parameter of each session, so only its change during the session is identifiable. An
+instrument that creeps on its stand moves all points in the same way; no pose separates the two.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""A base that is not level: gravity does not point where the campaign says.
+"""A base that is not level: gravity has another direction than the campaign states.
 
-Machines are levelled to about a milliradian, and the axis of joint 1 is square to its base plate to a few tenths. To
-first order, with the weight as described.
+Machines are levelled to about 1 mrad; the axis of joint 1 is square to its base plate to a few tenths of that. The
+effect is of first order and uses the described masses.
 """
 
 from __future__ import annotations
@@ -36,5 +36,5 @@ EFFECT = Effect(
     equation="g' = g + g x w, w = (roll, pitch) about the base's horizontal axes",
     source=("LynchPark2017",),
     at="base",
-    caveat="the weight is taken as described: what the angles are known to is at best what the masses are, a tenth",
+    caveat="uses the described masses: the relative error of the angles is at least that of the masses, about 10 %",
 )

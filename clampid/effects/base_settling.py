@@ -1,7 +1,7 @@
 """A base that settles: pedestal, anchors and floor creep, or the column warms up, each session anew.
 
-Beside the base's own place, which each session has anyway, only what changes in the course of it is told. An instrument
-that drifts on its stand moves all points in the same way: no pose parts the two.
+The pose of the base is a parameter of each session, so only its change during the session is identifiable. An
+instrument that drifts on its stand moves all points in the same way; no pose separates the two.
 """
 
 from __future__ import annotations

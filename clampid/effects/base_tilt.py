@@ -1,4 +1,4 @@
-"""A pedestal that tilts under the moment of what it carries."""
+"""A pedestal that tilts under the moment of the arm's weight."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from clampid.search_policy import Search, Separator
 
 
 def tilt(p: Any, x: Any) -> Any:
-    """W = C (M_x, M_y), M the moment about the base's origin of all that moves."""
+    """W = C (M_x, M_y), M the moment of all moving masses about the base's origin."""
     mx, my = x.base_moment[0], x.base_moment[1]
     return rows(p.cxx * mx + p.cxy * my, p.cxy * mx + p.cyy * my, 0, 0, 0, 0)
 

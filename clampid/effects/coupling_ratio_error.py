@@ -1,4 +1,4 @@
-"""A wrong entry in the transmission matrix: a ratio that is off, or a coupling that was forgotten."""
+"""A wrong entry in the transmission matrix: an error of a ratio, or a missing coupling."""
 
 from __future__ import annotations
 

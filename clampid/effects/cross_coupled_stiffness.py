@@ -1,4 +1,4 @@
-"""Springs that couple two neighbouring drives beyond what the transmission does."""
+"""Springs that couple two neighbouring drives, in addition to the coupling by the transmission."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The block that the flange is clamped to creeps on while a sweep lasts.
+"""The block to which the flange is clamped creeps during a sweep.
 
-The posture at which each sweep was clamped is unknown anyway, so only the course within a sweep tells.
+The posture at which each sweep was clamped is unknown, so only changes within a sweep identify the creep.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from clampid.effect import Effect, Parameter
 
 
 def motion(p: Any, x: Any) -> Any:
-    """(w, v) = (r, d) times the share of the sweep that is over."""
+    """(w, v) = (r, d) times the elapsed share of the sweep."""
     return rows(p.rx, p.ry, p.rz, p.x, p.y, p.z) * x.sweep_fraction
 
 

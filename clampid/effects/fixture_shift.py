@@ -1,7 +1,7 @@
-"""The block that the flange is clamped to slips once, in the middle of a sweep, and stays where it has slipped to.
+"""The block to which the flange is clamped slips once, in the middle of a sweep, and stays in its new place.
 
-Later sweeps begin with the block where it is by then, and the posture at which each was clamped is unknown anyway: only
-the sweep in which it slipped shows it.
+The posture at which each sweep was clamped is unknown, so later sweeps do not show the slip. Only the sweep in which
+it happened identifies it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ EFFECT = Effect(
             meaning="when: sweeps before, and the share of the sweep's rows before; between two rows",
             shape=True,
             grid=(0.47,),
-            held="everywhere",
+            fixed="everywhere",
         ),
     ),
     needs=("sweep_progress",),
@@ -41,6 +41,6 @@ EFFECT = Effect(
     source=("Thesis",),
     at="fixture",
     event="at",
-    caveat="how far it slipped is known a little less well than stated: friction kept by held motors may hide which "
-    "clearances it passed; on eight virtual robots 90 % of these 95 % intervals held the truth",
+    caveat="the true uncertainty of the slip is slightly larger than stated: friction of motors at rest may hide which "
+    "clearances were crossed; on eight virtual robots 90 % of the 95 % intervals contained the true value",
 )

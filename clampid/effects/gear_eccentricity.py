@@ -1,4 +1,4 @@
-"""Angle error periodic in a joint's revolution, once and twice: an eccentric gear or encoder, which look the same."""
+"""Angle error periodic in a joint's revolution, once and twice: an eccentric gear or encoder."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Where joints, base, flange and targets really are: the screws of the product of exponentials, moved.
+"""Geometric errors: places of joints, base, flange and targets, as small motions in the product of exponentials.
 
-Each link carries a small motion of its far end, which moves the screws of all joints after it; base, flange, targets
-and the anchors that distances are measured from belong to a session of measurement and have their own for each. Which
-of all these can be told apart follows from the robot, not from names: see :mod:`clampid.fitting.gauge`.
+Each link carries a small motion of its far end, which moves the screws of all joints after it. Base, flange, targets
+and the anchors of distances belong to a session of measurement; each session has its own. Which of these parameters are
+identifiable follows from the robot, not from their names: see :mod:`clampid.fitting.gauge`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def target(p: Any, x: Any) -> Any:
 
 
 def anchor(p: Any, x: Any) -> Any:
-    """What the row's anchor, off by a, takes away from the way to the target."""
+    """Change of the vector from the row's anchor to the target, for an anchor that is off by a: -a."""
     return -rows(*(dot(part, x.anchor_is) for part in (p.anchor_x, p.anchor_y, p.anchor_z)))
 
 

@@ -1,7 +1,7 @@
-"""Masses and centres of mass of the links, other than described.
+"""Errors of the described masses and centres of mass of the links.
 
-How far they may be from the description is its tolerance (clampid.fitting.priors); that alone tells the last link's
-mass from a tool other than declared, whose torques are the same: see payload.
+The tolerance of the description is their prior (clampid.fitting.priors). Only this prior separates the mass of the last
+link from an undeclared tool, whose torques are the same: see payload.
 """
 
 from __future__ import annotations

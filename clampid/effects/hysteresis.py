@@ -1,7 +1,7 @@
-"""A drive's torsion lags behind its load: parts of its spring stick, are wound up, and slip again after each reversal.
+"""Hysteresis of a drive: parts of its spring stick, are wound up, and slip again after each reversal of the load.
 
-Makers of gears draw it so, torsion over torque, as a loop. Maxwell slip, Bouc-Wen and Dahl's law cannot be told apart
-in such sweeps, so that the effect goes by its family.
+Makers of gears show it as a loop of torsion over torque. Such sweeps do not distinguish Maxwell slip, Bouc-Wen and
+Dahl's law, so the effect is named after their family.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Torque of acceleration that the described masses do not explain: rotors, and links' own inertia."""
+"""Torque of acceleration in addition to that of the described masses: inertia of rotors and links."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A scale error of the instrument that differs between its axes, as of a stereo camera in depth.
 
-What the three axes have in common is :mod:`clampid.effects.instrument_scale`.
+Their common scale error is :mod:`clampid.effects.instrument_scale`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A scale error of the instrument along axes other than those of its frame, or axes that are not perpendicular.
 
-A camera's frame is often turned to something of the cell. What all directions have in common is
-:mod:`clampid.effects.instrument_scale`; what turns all is the instrument's frame.
+A camera's frame is often aligned with an object of the cell, not with the camera. The common scale error of all
+directions is :mod:`clampid.effects.instrument_scale`; a common rotation is part of the instrument's frame.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ EFFECT = Effect(
     parameters=(
         Parameter("x", "", 1e-4, bounds=BOUNDS, meaning="scale error along x beyond the mean of the three axes"),
         Parameter("y", "", 1e-4, bounds=BOUNDS, meaning="the same along y; along z it is -(x + y)"),
-        Parameter("xy", "", 1e-4, bounds=BOUNDS, meaning="half of what x and y lean towards each other, rad"),
-        Parameter("xz", "", 1e-4, bounds=BOUNDS, meaning="half of what x and z lean towards each other, rad"),
-        Parameter("yz", "", 1e-4, bounds=BOUNDS, meaning="half of what y and z lean towards each other, rad"),
+        Parameter("xy", "", 1e-4, bounds=BOUNDS, meaning="half the angle error between x and y, rad"),
+        Parameter("xz", "", 1e-4, bounds=BOUNDS, meaning="half the angle error between x and z, rad"),
+        Parameter("yz", "", 1e-4, bounds=BOUNDS, meaning="half the angle error between y and z, rad"),
     ),
     needs=("position",),
     stages=("poses",),

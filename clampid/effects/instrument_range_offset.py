@@ -1,4 +1,4 @@
-"""An instrument of ranges and angles whose zero of ranges is off: points lie too far out along the line of sight."""
+"""Zero error of ranges of an instrument that measures ranges and angles: points are too far along the line of sight."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 from clampid.algebra import fmax, norm
 from clampid.effect import Effect, Parameter
 
-NEAREST_POINT = 1e-3  # m: no instrument sees so near; what is no point, but a distance, stands at the origin
+NEAREST_POINT = 1e-3  # m: no instrument measures so near; rows of distances are at the origin
 
 
 def error(p: Any, x: Any) -> Any:
@@ -19,7 +19,7 @@ EFFECT = Effect(
     name="instrument_range_offset",
     family="instrument_scale",
     acts={"measurement": error},
-    parameters=(Parameter("c", "m", 1e-4, meaning="what ranges from the instrument's origin are too long by"),),
+    parameters=(Parameter("c", "m", 1e-4, meaning="error of ranges from the instrument's origin, > 0: too long"),),
     needs=("position",),
     stages=("poses",),
     equation="dr = c",

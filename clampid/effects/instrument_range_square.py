@@ -1,4 +1,4 @@
-"""A camera whose error of depth grows with the square of the range, as where its base or its disparities are off."""
+"""Depth error of a camera that grows with the square of the range, from an error of its disparities."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EFFECT = Effect(
     name="instrument_range_square",
     family="instrument_scale",
     acts={"measurement": error},
-    parameters=(Parameter("k", "1/m", 1e-4, meaning="what ranges are too long by, over their square"),),
+    parameters=(Parameter("k", "1/m", 1e-4, meaning="error of ranges over their square, > 0: too long"),),
     needs=("position",),
     stages=("poses",),
     equation="dr = k r^2",

@@ -1,8 +1,7 @@
-"""Angle error periodic in a joint's revolution, of any shape: what an encoder's disc or a wheel's teeth leave.
+"""Angle error periodic in a joint's revolution, of any shape: errors of an encoder's disc or of a wheel's teeth.
 
-A joint's own curve, in as many harmonics as such a shape needs. Between poses and beyond the angles that any pose
-visited nothing is known but its size, which is that of the other joints and angles: there it fades to zero within a few
-degrees, and its band opens to that size.
+Each joint has its own curve of 48 harmonics, with a prior: its rms is estimated from all joints and angles. Away from
+measured angles the estimate fades to zero within a few degrees, and its error band widens to that rms.
 """
 
 from __future__ import annotations
@@ -17,8 +16,8 @@ HARMONICS = 48
 """Shapes down to 4 degrees; a disc's flaw of that width is smeared by the reading head, finer ones more so."""
 
 FADING = tuple(1.0 - (k / (HARMONICS + 1)) ** 2 for k in range(1, HARMONICS + 1))
-"""The same smear as shares of the harmonics. Had all the same size and the next one none, what is known of one angle
-would ring on through all those where no pose was."""
+"""The same smear as relative sizes of the harmonics. With equal sizes and a sharp end, the estimate at one angle would
+ring through all angles without poses."""
 
 ERROR = 3e-4
 """rad: transmission and encoder errors are of 10 to 60 arc seconds, 5e-5 to 3e-4; here the largest rms of a curve."""
@@ -38,8 +37,8 @@ EFFECT = Effect(
     acts={"joint_angle": error},
     parameters=(
         Parameter(
-            "rms", "rad", ERROR, bounds=(0.0, 0.05), meaning="what the curves amount to, rms over a turn",
-            shape=True, grid=(ERROR,), held="everywhere",
+            "rms", "rad", ERROR, bounds=(0.0, 0.05), meaning="rms of the curves over a turn",
+            shape=True, grid=(ERROR,), fixed="everywhere",
         ),
         *(
             Parameter(

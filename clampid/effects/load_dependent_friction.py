@@ -1,8 +1,7 @@
 """Friction that grows with the torque that the gear transmits.
 
-In free air the joint moves against it. In a clamped sweep the motor does, while the joint stands still; then the
-springs'
-torque is the load.
+In free air the load is gravity and the joint moves against the friction. In a clamped sweep the joint stands still and
+the motor moves against it; the load is the torque of the springs.
 """
 
 from __future__ import annotations

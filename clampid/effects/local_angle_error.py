@@ -1,9 +1,8 @@
 """Angle error over a few degrees of a joint: a damaged tooth, a dent in a bearing's ring, dirt on an encoder's disc.
 
-It comes again with every turn of the joint and is nothing elsewhere, so that harmonics of the revolution say it badly:
-a bump of 15 degrees takes two dozen of them. Where it sits is not known beforehand: diagnosis tries every place that
-poses visited, and a fit begins at the likeliest one. Whatever the true shape, a bump has a height, a middle and a
-width; the raised cosine is the smooth one of them that ends.
+It repeats with every turn of the joint and is zero elsewhere. Harmonics describe it badly: a bump of 15 degrees needs
+two dozen of them. Its place is not known beforehand: diagnosis tries every place that poses visited, and a fit starts
+at the likeliest one. Any bump has a height, a middle and a width; the raised cosine is a smooth one of finite width.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from clampid.search_policy import Search
 
 
 def error(p: Any, x: Any) -> Any:
-    """Dq = h (1 + cos(2 pi d / w)) / 2 where d, by how much the joint has turned from the middle, is below w / 2."""
+    """Dq = h (1 + cos(2 pi d / w)) / 2 where |d|, the joint's angle from the middle, is below w / 2."""
     d = turned_by(x.q - p.middle)
     return 0.5 * p.height * (1.0 + cos(2.0 * pi * d / p.width)) * within(d, -0.5 * p.width, 0.5 * p.width)
 

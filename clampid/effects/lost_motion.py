@@ -1,8 +1,8 @@
-"""Lost motion by the approach alone: a joint stops on the side that it came from, whatever its load.
+"""Lost motion that depends only on the direction of approach: a joint stops on the side it came from, at any load.
 
-A clearance's flank is the load's, wherever that is more than a bearing's friction. Where friction inside the gear, a
-stiff seal or a brake that drags outweighs the load, or the load is not the one described, the direction of the last
-motion decides. The friction that does it is not asked for: the width between both sides has in it what it winds up.
+The flank of a clearance (backlash) follows the load if that exceeds the friction of a bearing. If friction in the gear,
+a stiff seal or a dragging brake exceeds the load, or the described load is wrong, the direction of the last motion
+decides. This friction has no parameter here: the width between both sides includes the windup that it causes.
 """
 
 from __future__ import annotations
@@ -24,7 +24,12 @@ EFFECT = Effect(
     acts={"joint_angle": lag},
     parameters=(
         Parameter(
-            "width", "rad", 1e-4, "joint", (0.0, 2e-2), "by how much the joint stands apart, come from either side"
+            "width",
+            "rad",
+            1e-4,
+            "joint",
+            (0.0, 2e-2),
+            "difference of the joint angle between both directions of approach",
         ),
     ),
     needs=("direction",),

@@ -1,7 +1,7 @@
 """Angle error periodic in a motor's revolution, once and twice: a resolver, or the first stage of a gear.
 
-A strain-wave gear errs twice per revolution of its wave generator, which the motor turns. The phase is free, so only
-the ratio has to be that of the gear. A description without gears has its motors at the joints: there this is the
+A strain-wave gear has an error twice per revolution of its wave generator, which the motor turns. The phase is fitted;
+only the gear ratio must be right. In a description without gears the motors are at the joints, and this is the
 eccentricity of the joint itself.
 """
 

@@ -1,4 +1,4 @@
-"""A drive whose spring hardens, or is soft near zero: a cubic part of its deflection."""
+"""A drive whose stiffness changes with load: a cubic part of its deflection."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A tool whose mass or centre of mass is not what the controller was told."""
+"""A tool whose mass or centre of mass differs from the declared one."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""A joint that advances along its axis as it turns by another amount than described.
+"""Error of a joint's pitch: its advance along the axis per angle differs from the described one.
 
-The screw of a joint is v = -w x p + h w; a screw drive has h by design, and a spindle's lead is off by some parts in
-ten thousand. Other joints that turn have none to speak of: a bearing's face out of square moves the axis to and fro
-once a turn, and not on and on. It is looked for at helical joints only, so that arms without any pay nothing for it; by
-name it can be fitted wherever a joint turns. What a sliding joint is off by is its ratio: `coupling_ratio_error`.
+The screw of a joint is v = -w x p + h w. A screw drive has h by design, and a spindle's lead has errors of some parts
+in ten thousand. Other revolute joints have no pitch: a bearing's face out of square moves the axis to and fro once per
+turn, without a net advance. Diagnosis searches it at helical joints only, so other arms have no additional candidates;
+by name it can be fitted at any revolute joint. The error of a sliding joint is its ratio: `coupling_ratio_error`.
 """
 
 from __future__ import annotations

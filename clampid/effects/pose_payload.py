@@ -1,6 +1,6 @@
-"""A tool that poses were measured with and torque logs were not: changed, or loaded, between the two.
+"""A tool that was changed or loaded between poses and torque logs: its mass in the poses less that in the logs.
 
-What both have in common beyond what the controller was told is :mod:`clampid.effects.payload`.
+The error of the declared tool that both have in common is :mod:`clampid.effects.payload`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""A tool that is not what the controller was told, and not the same in every campaign of one robot.
+"""A tool that differs from the declared one, by a different amount in each campaign of one robot.
 
-What all campaigns have in common is :mod:`clampid.effects.payload`: one of the two, not both.
+An error common to all campaigns is :mod:`clampid.effects.payload`; a model has one of the two, not both.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """A scale error of the instrument that differs between the campaigns of one robot.
 
-What all campaigns have in common is :mod:`clampid.effects.instrument_scale`, or a larger arm: one of the two, not both.
+A scale error common to all campaigns is :mod:`clampid.effects.instrument_scale`, or a larger arm; a model has one of
+the two effects, not both.
 """
 
 from __future__ import annotations

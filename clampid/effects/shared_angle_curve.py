@@ -1,7 +1,7 @@
-"""One angle error, periodic in the revolution and of any shape, at several joints: parts of one make, as mounted.
+"""One periodic angle error of any shape that several joints share, because they have encoders of one make.
 
-Encoders with the same disc err by the same curve, each turned by an angle of its own and read from one side or the
-other. How a disc sits on its joint adds what comes once and twice per revolution, and no two parts are quite the same.
+Encoders with the same disc have the same error curve, shifted by a phase of each joint and read in one sense or the
+other. The mounting of each disc adds an error once and twice per revolution; a small deviation per joint is allowed.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from clampid.algebra import harmonics
 from clampid.effect import Effect, Parameter
 
 LOW = (1, 2)
-"""Harmonics of a joint's own: eccentric and oval seats. The disc's are not told apart from them."""
+"""Harmonics of each joint: eccentric and oval seats. The disc's harmonics of these orders cannot be separated."""
 
 SHARED = range(3, 49)
 """Shapes down to 4 degrees, as at single joints."""
 
 _SMEAR = tuple(1.0 - (k / SHARED.stop) ** 2 for k in SHARED)
 SHARE = tuple(share / sum(s**2 for s in _SMEAR) ** 0.5 for share in _SMEAR)
-"""Sizes of the harmonics by the rms of the curve: the reading head smears the finer ones; without that fading what is
-known of one angle would ring on."""
+"""Sizes of the harmonics over the rms of the curve: the reading head smears the finer ones. Without this decrease the
+estimate at one angle would ring through the others."""
 
 ERROR = 3e-4
 """rad: transmission and encoder errors are of 10 to 60 arc seconds, 5e-5 to 3e-4; here the rms of the whole curve."""
@@ -68,17 +68,17 @@ EFFECT = Effect(
     parameters=(
         Parameter(
             "sense", "", 1.0, "joint", (-1.0, 1.0), "how the part is mounted: +1 or -1; 0: another part",
-            shape=True, grid=(0.0, 1.0, -1.0), held="everywhere",
+            shape=True, grid=(0.0, 1.0, -1.0), fixed="everywhere",
         ),
         Parameter(
             "phase", "rad", ANYWHERE, "joint", meaning="where the curve begins, counted from the first joint's",
-            shape=True, grid=(0.0,), held="first",
+            shape=True, grid=(0.0,), fixed="first",
         ),
         *(p for k in LOW for p in _sines("own_", k, "rad", SEAT / len(LOW) ** 0.5, "joint")),
         *(p for k, share in zip(SHARED, SHARE, strict=True) for p in _sines("own_", k, "", share, "joint")),
         Parameter(
-            "deviation", "rad", ERROR, bounds=(0.0, 0.05), meaning="how far parts of one make differ, rms over a turn",
-            shape=True, grid=(0.3 * ERROR,), held="everywhere",
+            "deviation", "rad", ERROR, bounds=(0.0, 0.05), meaning="difference between such parts, rms over a turn",
+            shape=True, grid=(0.3 * ERROR,), fixed="everywhere",
         ),
         *(p for k, share in zip(SHARED, SHARE, strict=True) for p in _sines("", k, "rad", ERROR * share, "robot")),
     ),

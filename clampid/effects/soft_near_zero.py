@@ -1,4 +1,4 @@
-"""A drive that is soft while hardly loaded, as teeth come to bear one after the other: more compliance near zero."""
+"""A drive that is soft at small loads, because its teeth engage one after the other: more compliance near zero."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from clampid.search_policy import Search
 
 
 def deflection(p: Any, x: Any) -> Any:
-    """Dq = -T' (a s tanh(T tau/s)): compliance a more at zero, which is used up beyond the torque s."""
+    """Dq = -T' (a s tanh(T tau/s)): additional compliance a at zero, which vanishes beyond the torque s."""
     load = x.transmission @ x.torque
     return -x.transmission.T @ (p.a * p.s * tanh(load / p.s))
 
@@ -28,7 +28,9 @@ EFFECT = Effect(
             meaning="compliance near zero torque beyond the spring's, at the motor; size at the joint",
             gearing=2,
         ),
-        Parameter("s", "Nm", 1.0, "joint", (0.02, 50.0), "torque at the motor that uses it up", True, (1.0, 0.3, 3.0)),
+        Parameter(
+            "s", "Nm", 1.0, "joint", (0.02, 50.0), "torque at the motor beyond which it vanishes", True, (1.0, 0.3, 3.0)
+        ),
     ),
     needs=("torque",),
     stages=("clamped", "poses"),

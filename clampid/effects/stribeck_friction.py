@@ -1,4 +1,4 @@
-"""Extra dry friction at slow speed, which a lubricant film carries away as the speed grows."""
+"""Additional dry friction at slow speed, which vanishes as a lubricant film builds up with speed."""
 
 from __future__ import annotations
 

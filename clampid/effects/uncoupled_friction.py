@@ -1,7 +1,7 @@
-"""Friction of a motor that does not turn with the joints which the transmission couples it with.
+"""Friction of a motor that follows its own joint only, not the joints that the transmission couples it with.
 
-Friction follows the shaft that rubs. Where it follows the motor's own joint alone, the coupling in T is wrong; or it is
-right, and the log's joint angles are motor angles over their ratios, with the coupling left out. F_c and F_v are then
+Friction follows the shaft that rubs. If it follows the motor's own joint only, the coupling in T is wrong; or T is
+right, and the log's joint angles are motor angles divided by their ratios, without the coupling. F_c and F_v are then
 the motor's whole Coulomb and viscous friction; half of them would mean half of the coupling.
 """
 

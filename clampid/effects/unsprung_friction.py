@@ -1,9 +1,9 @@
-"""Friction that holds a gear's flank and winds up no spring: it acts between the clearance and what yields.
+"""Friction that selects a gear's flank and winds up no spring: it acts between the clearance and the compliance.
 
-The model has friction of the arm's side behind both: it decides on which flank a joint stops, and stays in the
-springs. Friction of the gear's output bearing or its seal, ahead of a spring that is a hollow shaft or the bearing
-itself, decides on the flank alone; so does friction whose spring lets go once the motor has stopped. The joint then
-stands apart, come from either side, by less than springs wound up by that friction would have it.
+Arm-side friction of the model acts behind both: it selects the flank on which a joint stops, and winds up the springs.
+Friction of the gear's output bearing or seal acts before a spring that is a hollow shaft or the bearing itself, and
+only selects the flank; so does friction whose spring relaxes once the motor has stopped. Then the difference between
+both directions of approach is smaller than with wound springs.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ EFFECT = Effect(
             1e-4,
             "joint",
             (0.0, 2e-2),
-            "by how much less it stands apart than with wound springs",
+            "by how much the difference between both directions is smaller than with wound springs",
         ),
     ),
     needs=("direction",),

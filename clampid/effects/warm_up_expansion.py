@@ -1,4 +1,4 @@
-"""Links that grow while the robot warms up, where no sensor tells their temperature."""
+"""Links that grow while the robot warms up, without a sensor of their temperature."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Friction that falls while the gear warms up, where no sensor tells its temperature."""
+"""Friction that falls while the gear warms up, without a sensor of its temperature."""
 
 from __future__ import annotations
 

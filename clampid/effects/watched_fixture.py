@@ -1,7 +1,7 @@
-"""The clamp's motion as a sensor on its block saw it, whatever moved it: rocking, shifting, a slip in the middle.
+"""The clamp's motion as measured by a sensor on its block: rocking, shifting, a slip in the middle of a sweep.
 
-A share of 1 says that the flange went as the sensor says; anything else that the sensor's axes, units or signs are not
-what they are taken for, or that it does not watch the flange.
+A share of 1 means that the flange moved as the sensor measured. Any other value means that the sensor's axes, units or
+signs differ from the assumed ones, or that it does not move with the flange.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from clampid.effect import Effect, Parameter
 
 
 def motion(p: Any, x: Any) -> Any:
-    """(w, v) = share * what the sensor read."""
+    """(w, v) = share * the sensor's reading."""
     return p.share * x.fixture_motion
 
 

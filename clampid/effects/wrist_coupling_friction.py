@@ -1,8 +1,8 @@
-"""Arm-side friction of the wrist: it reaches several motors through the transmission, and stays in the springs.
+"""Arm-side friction of the wrist: it acts on several motors through the transmission, and winds up the springs.
 
-In motion the drive carries it against the motion. After a stop from direction `dir` the springs stay wound up by it,
-so that it supplies load and flank to the pose stage too. In torque logs it can be told from the motor's own friction
-only where the transmission couples a joint with another; in poses it shows at every joint.
+In motion it opposes the joint. After a stop from direction `dir` it keeps the springs wound up, so it also determines
+load and flank in the pose stage. In torque logs it can be distinguished from the motor's own friction only where the
+transmission couples the joint with another; poses show it at every joint.
 """
 
 from __future__ import annotations

@@ -11,13 +11,13 @@ from scipy import linalg
 from clampid.effect import WEAK_SPREAD as WEAK_PRIOR
 from clampid.evidence.columns import Sums
 from clampid.fitting.solve import Estimate
-from clampid.stages.fit_problem import HELD_STD
+from clampid.stages.fit_problem import FIXED_STD
 from clampid.stages.rows import Array, Bools, Integers
 
 __all__ = ["ABSORBED", "Space", "space_of"]
 
 ABSORBED = 1e-6
-HELD_OPEN = 4.0  # an error twice as large as the prior: it was held, and is open
+OPEN_VARIANCE_RATIO = 4.0  # an error twice as large as the prior: it was fixed, and is open
 SMALLEST = 1e-3  # share of a unit's noise that a fit leaves: of less, rounding alone would be flipped
 ORTHOGONAL = 1e-3  # how near to the identity the second factor must be, for its columns to be exact
 
@@ -50,7 +50,7 @@ class Space:
     rows: int
     pseudo_std: Array
 
-    def beside(self, columns: Array) -> Space:
+    def granting(self, columns: Array) -> Space:
         """The same with whitened columns ``(M, k)`` that are granted to the model: what they explain is no evidence."""
         if not columns.shape[1]:
             return self
@@ -156,15 +156,15 @@ def _span(A: Array) -> Array:
 
 
 def _opened(estimate: Estimate) -> Array:
-    """The prior's precision ``(P, P)``, of what a fit has held that of its error instead.
+    """The prior's precision ``(P, P)``, of what a fit has fixed that of its error instead.
 
-    A friction is held where flanks determine it (:mod:`clampid.fitting.rest_friction`), and may be anything within its
+    A friction is fixed where flanks determine it (:mod:`clampid.fitting.rest_friction`), and may be anything within its
     error: what it would explain then is no evidence of anything else.
     """
     precision = estimate.prior_precision.copy()
-    variance, tight = np.diag(estimate.covariance), (HELD_STD * estimate.problem.sizes()) ** -2.0
-    open_ = (variance * tight > HELD_OPEN) & ~estimate.problem.fixed()
-    held = np.flatnonzero(open_ & (np.diag(precision) > 0.5 * tight))
-    precision[held, :] = precision[:, held] = 0.0
-    precision[held, held] = 1.0 / variance[held]
+    variance, tight = np.diag(estimate.covariance), (FIXED_STD * estimate.problem.sizes()) ** -2.0
+    open_ = (variance * tight > OPEN_VARIANCE_RATIO) & ~estimate.problem.fixed()
+    fixed = np.flatnonzero(open_ & (np.diag(precision) > 0.5 * tight))
+    precision[fixed, :] = precision[:, fixed] = 0.0
+    precision[fixed, fixed] = 1.0 / variance[fixed]
     return precision

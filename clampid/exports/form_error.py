@@ -153,7 +153,7 @@ def ranges(robot: RobotDescription) -> tuple[Array, Array]:
 
 
 def postures(robot: RobotDescription, count: int = POSTURES, seed: int = 0) -> Array:
-    """Joint values ``(count, n)`` drawn over the whole ranges, rad or m: where an export is held against the model."""
+    """Joint values ``(count, n)`` drawn over the whole ranges, rad or m: where an export is compared with the model."""
     return np.random.default_rng(seed).uniform(*ranges(robot), (count, robot.n))
 
 

@@ -201,7 +201,7 @@ def _differences(data: MachineData, chain: CalibratedChain, q: Array) -> tuple[A
 
 @dataclass(frozen=True)
 class _Fit:
-    """Where a form is held against a chain: at joint angles ``q`` ``(N, 6)``, orientation counting by a lever [m]."""
+    """Where a form is compared with a chain: at joint angles ``q`` ``(N, 6)``, orientation counting by a lever [m]."""
 
     q: Array
     lever: float

@@ -270,7 +270,7 @@ def stage_errors(
 ) -> StageErrors:
     """Errors on fitted and held-out rows: a verification table, else the rows kept out, else cross-validation.
 
-    Where points are held against a verification table, distances beside them do not count. Single rows of that table
+    Where points are compared with a verification table, distances beside them do not count. Single rows of that table
     that are wrong do not count either, as in a fit. ``floor``: what torques are measured in, so that models can be
     compared; the estimate's own by default.
     """

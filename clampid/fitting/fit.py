@@ -10,8 +10,8 @@ from scipy import linalg, stats
 
 from clampid.fitting.agreeing import Agreement, agreement
 from clampid.fitting.anisotropy import relative_axes
-from clampid.fitting.held_motors import other_crossings
 from clampid.fitting.leverage import root_of_inverse, share_left
+from clampid.fitting.motors_at_rest import other_crossings
 from clampid.fitting.noise import NORMAL, Noise, initial_noise, learn_noise
 from clampid.fitting.solve import Estimate, FitError, Shared, holding, prior_of, solve, start_of
 from clampid.fitting.unknown_friction import at_no_friction, without_unknown_friction
@@ -40,9 +40,7 @@ OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothi
 AGREEING_SHARE = 2.0 * OUTLIER_SHARE  # of what would be rejected, while it is asked whether most of it agrees
 CROSSING_PASSES = 2
 BAR_PASSES, BAR_MOVED = 3, 0.1  # standard errors of a certified distance
-FIRST_FRICTION_STEP = (
-    0.01  # of its friction: by how much a held motor may at first be off what it is taken to have kept
-)
+FIRST_FRICTION_STEP = 0.01  # of a motor's friction: prior standard deviation of the kept friction in the first search
 
 
 def fit(
@@ -165,26 +163,26 @@ def again(estimate: Estimate, problem: FitProblem, none: Sequence[int]) -> Estim
 
 
 def _yields(problem: FitProblem) -> bool:
-    """Whether what holds a clamped arm moves in the model, so that torques of held joints change."""
+    """Whether the clamping fixture moves in the model, so that torques of joints at rest change."""
     return any("fixture" in problem.effects[slot.effect].acts for slot in problem.slots)
 
 
 def _kept_first(problem: FitProblem, theta: Array, noise: Noise, precision: Array, mean: Array) -> Array:
-    """Where the search of a clamped arm begins: found with held motors' friction as their last motion left it.
+    """Initial values for a clamped arm: fitted with the friction of motors at rest as their last motion left it.
 
-    Springs, and a block of which nothing is known yet, would else draw that friction to where other clearances are
-    crossed, and a search does not come back from there.
+    Otherwise springs and an unknown block would draw that friction to a local minimum in which other clearances are
+    crossed, and the search would stay there.
     """
     if not _yields(problem):
         return theta
     motors = problem.rows.series.offset_keys[:, 1] >= problem.rows.robot.n
     kept = len(problem.slots) + np.flatnonzero(motors)
-    held = holding(problem, precision, kept, FIRST_FRICTION_STEP)
-    return solve(problem, theta, noise, held, mean).theta if len(kept) else theta
+    tight = holding(problem, precision, kept, FIRST_FRICTION_STEP)
+    return solve(problem, theta, noise, tight, mean).theta if len(kept) else theta
 
 
 def _past_clearances(estimate: Estimate) -> Estimate:
-    """The estimate, or a likelier one, of a clamped arm whose held joints cross their clearances elsewhere."""
+    """The estimate, or a likelier one, of a clamped arm whose joints at rest cross their clearances in other rows."""
     if not _yields(estimate.problem):
         return estimate
     noise, precision, mean = estimate.noise, estimate.prior_precision, estimate.prior_mean

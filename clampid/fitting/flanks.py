@@ -1,9 +1,9 @@
 """Flanks that follow the loads: a gear rests where its torque presses, and the torque depends on what is fitted.
 
-The cost jumps where a joint's load changes its side, so that no step can be taken across. Flanks are held in each
-search, and follow between searches until they stay. Where a load is about zero they may come round: held on one side,
-the fit moves the load to the other, and back. Then the lowest of these fits is kept, each judged on its own flanks, as
-its predictions will be.
+The cost jumps where a joint's load changes its side, so that no step can be taken across. Flanks are frozen in each
+search, and follow between searches until they stay. If a load is about zero they may cycle: with the flank frozen on
+one side the fit moves the load to the other, and back. Then the fit of least cost is kept; each cost is computed on the
+fit's own flanks, as its predictions will be.
 
 An unloaded joint shows the product of its spring's compliance and its friction, so that both below zero fit as well as
 both above, but for the flanks. A search that began on the wrong side ends there; its mirror image is another start.
@@ -34,41 +34,41 @@ class Found(Protocol):
 
 
 FoundT = TypeVar("FoundT", bound=Found)
-Held = Sequence[FitProblem]
+Frozen = Sequence[FitProblem]
 
 
 def settled(
     start: Array,
-    held_at: Callable[[Array], Held],
-    search: Callable[[Held, Array], FoundT],
-    cost: Callable[[Held, Array], float],
+    frozen_at: Callable[[Array], Frozen],
+    search: Callable[[Frozen, Array], FoundT],
+    cost: Callable[[Frozen, Array], float],
 ) -> FoundT:
-    """Search with flanks held, from ``start`` ``(P,)``, for at most `FLANK_ROUNDS` rounds.
+    """Search with flanks frozen, from ``start`` ``(P,)``, for at most `FLANK_ROUNDS` rounds.
 
     Parameters
     ----------
-    held_at
-        The experiments with flanks held where a parameter vector puts them.
+    frozen_at
+        The experiments with flanks frozen where a parameter vector puts them.
     search
-        The lowest point downhill from a parameter vector, flanks held.
+        The lowest point downhill from a parameter vector, flanks frozen.
     cost
         What a parameter vector costs, prior included.
     """
-    held = held_at(start)
-    found = search(held, start)
+    frozen = frozen_at(start)
+    found = search(frozen, start)
     # Of the searches before the last one only their ends are kept: all that was found there is as large as the rows.
-    seen, ends = [held], [found.theta]
+    seen, ends = [frozen], [found.theta]
     for _ in range(FLANK_ROUNDS):
-        moved = held_at(found.theta)
-        if _same(held, moved):
+        moved = frozen_at(found.theta)
+        if _same(frozen, moved):
             return found
         if any(_same(other, moved) for other in seen):
             break
-        held = moved
-        found = search(held, found.theta)
-        seen.append(held)
+        frozen = moved
+        found = search(frozen, found.theta)
+        seen.append(frozen)
         ends.append(found.theta)
-    lowest = min(range(len(ends)), key=lambda k: cost(held_at(ends[k]), ends[k]))
+    lowest = min(range(len(ends)), key=lambda k: cost(frozen_at(ends[k]), ends[k]))
     return found if lowest == len(ends) - 1 else search(seen[lowest], ends[lowest])
 
 
@@ -91,7 +91,7 @@ def mirrored(trial: FitProblem, theta: Array) -> Array | None:
     return out
 
 
-def _same(a: Held, b: Held) -> bool:
+def _same(a: Frozen, b: Frozen) -> bool:
     return all(
         x is y or (_alike(x, y, "flank", 0.0) and _alike(x, y, "sag_torque", SAGS)) for x, y in zip(a, b, strict=True)
     )

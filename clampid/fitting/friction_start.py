@@ -90,7 +90,7 @@ def _flanks(problem: FitProblem, theta: Array) -> Array:
 
 
 def _step(estimate: Estimate, theta: Array, limits: Limits) -> tuple[Array, float]:
-    """One Newton step from ``theta`` with the flanks held there, and the cost that it promises."""
+    """One Newton step from ``theta`` with the flanks frozen there, and the cost that it promises."""
     point = stage_point(estimate.problem.with_flanks(theta), estimate.noise, theta)
     A, g = point.normal()
     off = theta - estimate.prior_mean

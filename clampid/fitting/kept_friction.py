@@ -1,10 +1,10 @@
-"""How far a clamped block slipped, given that nobody knows what friction the held motors kept.
+"""Covariance of a clamped block's slip when the friction of the motors at rest is unknown.
 
-A held motor's torque is its gear's and what friction it kept, anything between its limits. When a block slips, torques
-change, and of a gear whose torque changed its sign the clearance was passed, too. Which gears did is told only where no
-friction that the motor may have kept could hide it; elsewhere the slip is known but for these clearances. A fit settles
-on one of the combinations, and a standard error made at that one says nothing of the others, which fit as well. So what
-they would have made of the slip is added to the covariance: its second moment over frictions uniform between limits.
+The torque of a motor at rest is its gear's torque plus the friction that it kept, which lies anywhere between its
+limits. A slip changes the torques. A gear whose torque changes its sign also crosses its backlash. The data identify
+such a crossing only if no possible friction can hide it; otherwise the slip is known except for that backlash. A fit
+ends at one combination of crossings, and its standard error ignores the others, which fit equally well. So the second
+moment of the slip over frictions uniform between their limits is added to the covariance.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ AXES = ("rx", "ry", "rz", "x", "y", "z")
 
 
 def with_kept_friction(estimate: Estimate) -> Estimate:
-    """The same fit, with what held motors' friction leaves open of slips in their covariance.
+    """The same fit; the covariance of its slips includes the unknown friction of motors at rest.
 
     Unchanged where no slip is fitted. Torques about the arm's joints are related to those at the motors by T.
     """
@@ -52,9 +52,9 @@ def _open(estimate: Estimate, at: float) -> Array:
     torque = joint_torques(rows, problem.chain, theta, offsets)[beside]
     kept = rows.offset_table(offsets, 2)[beside[0], n:]
     gap = problem.clearances(theta)
-    held = ~np.any(rows.signals["motor_motion"][mine] != 0.0, axis=0)
-    limit = np.where(held, rows.sweep.held_friction, 0.0)
-    drawn = np.where(held, np.random.default_rng(SEED).choice([-1.0, 1.0], (FRICTION_DRAWS, n)) * limit, kept)
+    at_rest = ~np.any(rows.signals["motor_motion"][mine] != 0.0, axis=0)
+    limit = np.where(at_rest, rows.sweep.loop_friction, 0.0)
+    drawn = np.where(at_rest, np.random.default_rng(SEED).choice([-1.0, 1.0], (FRICTION_DRAWS, n)) * limit, kept)
     T = np.asarray(rows.robot.transmission)
     other = torque + np.linalg.solve(T, (kept - drawn).T).T[:, None, :]  # (FRICTION_DRAWS, 2, n)
     passed = 0.5 * (np.sign(other[:, 1]) - np.sign(other[:, 0])) - 0.5 * (np.sign(torque[1]) - np.sign(torque[0]))

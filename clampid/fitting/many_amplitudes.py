@@ -48,7 +48,7 @@ class AmplitudePoint:
 
     @staticmethod
     def at(problem: FitProblem, noise: Noise, theta: Array) -> AmplitudePoint:
-        """The point of a problem of poses, flanks as they are held."""
+        """The point of a problem of poses, flanks as they are frozen."""
         deviations = poses.evaluate(problem.rows, problem.chain, theta)
         return AmplitudePoint(problem, noise, theta, *poses.by_station(problem.rows, deviations), deviations)
 

@@ -66,19 +66,19 @@ def mean_norm(estimate: Estimate) -> Estimate:
     theta = settled(
         estimate.theta,
         lambda at: [trial.with_flanks(at)],
-        lambda held, at: _Lowest(_search(held[0], at, estimate, kappa)),
-        lambda held, at: _cost(held[0], at, estimate, kappa)[0],
+        lambda frozen, at: _Lowest(_search(frozen[0], at, estimate, kappa)),
+        lambda frozen, at: _cost(frozen[0], at, estimate, kappa)[0],
     ).theta
-    held = trial.with_flanks(theta)
-    error = np.linalg.norm(held.residual(theta)[0][:, :3], axis=1)
+    frozen = trial.with_flanks(theta)
+    error = np.linalg.norm(frozen.residual(theta)[0][:, :3], axis=1)
     variance = kappa * np.maximum(error, LEAST_RESIDUAL * sigma)
     noise = Noise(np.repeat(np.sqrt(variance)[:, None], rows.measured.shape[1], axis=1))
-    point = stage_point(held, noise, theta)
+    point = stage_point(frozen, noise, theta)
     return replace(
         estimate,
         problem=trial,
         theta=theta,
-        covariance=_covariance(held, theta, estimate.prior_precision, kappa, LEAST_RESIDUAL * sigma),
+        covariance=_covariance(frozen, theta, estimate.prior_precision, kappa, LEAST_RESIDUAL * sigma),
         noise=noise,
         whitened=point.white,
         residual=point.residual,
@@ -95,7 +95,7 @@ def compared(estimate: Estimate, squares: Estimate) -> dict[str, dict[str, float
 
 @dataclass(frozen=True)
 class _Lowest:
-    """Where ``(P,)`` a search with flanks held ended."""
+    """Where ``(P,)`` a search with flanks frozen ended."""
 
     theta: Array
 
@@ -113,7 +113,7 @@ def _cost(trial: FitProblem, theta: Array, estimate: Estimate, kappa: float) -> 
 
 
 def _search(trial: FitProblem, theta: Array, estimate: Estimate, kappa: float) -> Array:
-    """SLSQP from ``theta``, flanks held, in coordinates in which least squares would be a ball."""
+    """SLSQP from ``theta``, flanks frozen, in coordinates in which least squares would be a ball."""
     free = np.flatnonzero(~trial.fixed())
     J = estimate.whitened.jacobian
     L = linalg.cholesky(inverse_of(J.T @ J + estimate.prior_precision)[np.ix_(free, free)], lower=True)

@@ -1,8 +1,8 @@
 """Dry friction of joints from poses alone: by the flanks on which joints rest after a stop.
 
 Friction F and load decide together, s = sign(load + F dir); and F winds up the joint's spring. A search that holds the
-flanks sees the second only, moves F by it, and then finds other flanks than it held: it ends anywhere. So such a
-friction is held while all else is searched, and sought apart: every value that turns another visit's flank is tried,
+flanks sees the second only, moves F by it, and then finds other flanks than it froze: it ends anywhere. So such a
+friction is fixed while all else is searched, and sought apart: every value that turns another visit's flank is tried,
 each with the clearance and all other parameters as they then fit best, to first order.
 
 What these fits cost is what the poses say of the friction. It has steps and may have several minima, so that no normal
@@ -29,7 +29,7 @@ from clampid.role_slots import has_role
 from clampid.roles import WEIGHTS
 from clampid.slots import Prior, Slot
 from clampid.stages import poses
-from clampid.stages.fit_problem import HELD_STD, FitProblem
+from clampid.stages.fit_problem import FIXED_STD, FitProblem
 from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.rows import Array, Integers
 
@@ -50,23 +50,23 @@ BETTER = 0.1  # of chi-square
 
 @dataclass(frozen=True)
 class RestFriction:
-    """Where a pose fit begins, and the frictions that it holds there.
+    """Where a pose fit begins, and the frictions that it fixes there.
 
     Attributes
     ----------
     start
         Slot -> value.
-    held
+    fixed
         None where no friction has to be sought apart.
     """
 
     start: Mapping[Slot, float]
-    held: Prior | None
+    fixed: Prior | None
 
     @property
     def priors(self) -> tuple[Prior, ...]:
         """For a fit."""
-        return () if self.held is None else (self.held,)
+        return () if self.fixed is None else (self.fixed,)
 
 
 def with_rest_friction(
@@ -74,9 +74,9 @@ def with_rest_friction(
 ) -> RestFriction:
     """Search for the frictions that select flanks and that only the poses determine.
 
-    Where ``start`` has all of the model they are held there, unless they are to be sought ``anew``. Where it lacks an
+    Where ``start`` has all of the model they are fixed there, unless they are to be sought ``anew``. Where it lacks an
     effect that has just been added, they are sought from what it has: without that effect flanks may have explained
-    what it does. Where the model leaves more than noise, or a clearance has just been added, none is held: flanks would
+    what it does. None is fixed if the model leaves more than noise, or a clearance has just been added: flanks would
     explain what else it lacks, and nothing could move them afterwards.
 
     Raises
@@ -95,7 +95,7 @@ def with_rest_friction(
             return RestFriction(start, None)
         if not added:
             free = _misses(problem, problem.error(theta))
-            return RestFriction(start, None if free else _held(problem, open_, theta))
+            return RestFriction(start, None if free else _fixed_prior(problem, open_, theta))
     estimate = _solved(problem, priors, open_, theta)
     for _ in range(ROUNDS_OF_JOINTS):
         before = estimate
@@ -110,8 +110,8 @@ def with_rest_friction(
                 estimate = found
         if estimate is before:
             break
-    held = _held(problem, open_, estimate.theta)
-    return RestFriction(estimate.values(), None if _misses(problem, estimate.residual) else held)
+    fixed = _fixed_prior(problem, open_, estimate.theta)
+    return RestFriction(estimate.values(), None if _misses(problem, estimate.residual) else fixed)
 
 
 def _misses(problem: FitProblem, residual: Array) -> bool:
@@ -120,12 +120,12 @@ def _misses(problem: FitProblem, residual: Array) -> bool:
     return float(NORMAL * np.median(np.abs(white))) ** 2 > MISSES
 
 
-def with_open_friction(estimate: Estimate, held: Prior | None) -> Estimate:
-    """The same fit, with what the flanks leave open of the frictions that it held in its covariance."""
-    if held is None:
+def with_open_friction(estimate: Estimate, fixed: Prior | None) -> Estimate:
+    """The same fit, with what the flanks leave open of the frictions that it fixed in its covariance."""
+    if fixed is None:
         return estimate
     covariance = estimate.covariance.copy()
-    for slot in held.slots:
+    for slot in fixed.slots:
         k = estimate.slots.index(slot)
         profile = _Profile.of(estimate, k)
         off = profile.theta - estimate.theta
@@ -161,19 +161,19 @@ def _open(problem: FitProblem, priors: Sequence[Prior]) -> list[int]:
     return out
 
 
-def _held(problem: FitProblem, open_: Sequence[int], theta: Array) -> Prior:
-    tight = HELD_STD * problem.sizes()[list(open_)]
+def _fixed_prior(problem: FitProblem, open_: Sequence[int], theta: Array) -> Prior:
+    tight = FIXED_STD * problem.sizes()[list(open_)]
     return Prior(tuple(problem.slots[k] for k in open_), theta[list(open_)], np.diag(tight**2))
 
 
 def _solved(problem: FitProblem, priors: Sequence[Prior], open_: Sequence[int], theta: Array) -> Estimate:
-    precision, mean = prior_of(problem, (*priors, _held(problem, open_, theta)))
+    precision, mean = prior_of(problem, (*priors, _fixed_prior(problem, open_, theta)))
     mean = np.where(problem.fixed(), theta, mean)
     return solve(problem, theta, initial_noise(problem.rows), precision, mean)
 
 
 def _cost(estimate: Estimate) -> float:
-    """Whitened squares of rows and priors, of held frictions as if they were not."""
+    """Whitened squares of rows and priors, of fixed frictions as if they were not."""
     assumed, mean = estimate.problem.prior()
     frictions = estimate.problem.numbers_of("arm_friction")
     weak = sum(assumed[k, k] * (estimate.theta[k] - mean[k]) ** 2 for k in frictions)
@@ -182,7 +182,7 @@ def _cost(estimate: Estimate) -> float:
 
 @dataclass(frozen=True)
 class _Profile:
-    """Fits with one friction held at each of some values.
+    """Fits with one friction fixed at each of some values.
 
     Attributes
     ----------
@@ -193,7 +193,7 @@ class _Profile:
     weight
         ``(K,)``: of the values between which no further flank turns.
     slope
-        ``(P,)``: d theta / d value, flanks held as the estimate has them.
+        ``(P,)``: d theta / d value, flanks frozen as the estimate has them.
     """
 
     joint: int

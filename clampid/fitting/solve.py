@@ -140,7 +140,7 @@ class StagePoint:
 
 
 def stage_point(problem: FitProblem, noise: Noise, theta: Array) -> StagePoint:
-    """One stage at ``theta`` ``(P + K,)``, flanks as they are held.
+    """One stage at ``theta`` ``(P + K,)``, flanks as they are frozen.
 
     Raises
     ------
@@ -249,29 +249,29 @@ def solve(
     """
     theta = limits_of(problem).clipped(theta)
 
-    def cost(held: Sequence[FitProblem], at: Array) -> float:
-        return point_at(held[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
+    def cost(frozen: Sequence[FitProblem], at: Array) -> float:
+        return point_at(frozen[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
 
     known: dict[bytes, FitProblem] = {}
     shared = shared or Shared()
     chord = shared.chord if has_many_amplitudes(problem, noise) else None
 
-    def held_at(at: Array) -> FitProblem:
+    def frozen_at(at: Array) -> FitProblem:
         """Flanks and loads where a parameter vector puts them, found once."""
         key = at.tobytes()
         if key not in known:
             known[key] = problem.with_flanks(at)
         return known[key]
 
-    def search(held: Sequence[FitProblem], at: Array) -> _End:
-        limits, one = limits_of(problem), held[0]
+    def search(frozen: Sequence[FitProblem], at: Array) -> _End:
+        limits, one = limits_of(problem), frozen[0]
         if chord is None:
             return _End(*descend(_points(one, noise, at, shared), at, precision, mean, limits), one)
         return _End(*descend(lambda x: _amplitude_point(one, noise, x), at, precision, mean, limits, chord), one)
 
     def found(start: Array) -> _End:
-        end = settled(start, lambda at: [held_at(at)], search, cost)
-        own = held_at(end.theta)  # the flanks and loads that it gives, which its predictions will have
+        end = settled(start, lambda at: [frozen_at(at)], search, cost)
+        own = frozen_at(end.theta)  # the flanks and loads that it gives, which its predictions will have
         return end if _follows_alike(end.problem, own) else end._replace(point=point_at(own, noise, end.theta))
 
     end = found(theta)
@@ -295,7 +295,7 @@ def solve(
 
 
 class _End(NamedTuple):
-    """Where a search with flanks held has ended, after how many iterations, and with which problem."""
+    """Where a search with flanks frozen has ended, after how many iterations, and with which problem."""
 
     point: StagePoint | PartedPoint | AmplitudePoint
     iterations: int
@@ -307,9 +307,9 @@ class _End(NamedTuple):
         return self.point.theta
 
 
-def _follows_alike(held: FitProblem, other: FitProblem) -> bool:
+def _follows_alike(frozen: FitProblem, other: FitProblem) -> bool:
     """Whether two experiments have the same flanks and loads."""
-    before, after = held.rows.signals, other.rows.signals
+    before, after = frozen.rows.signals, other.rows.signals
     return before is after or all(np.array_equal(before[name], after[name]) for name in FOLLOWING if name in after)
 
 
@@ -338,10 +338,10 @@ def prior_of(problem: FitProblem, priors: Sequence[Prior]) -> tuple[Array, Array
 
 
 def holding(problem: FitProblem, precision: Array, chosen: Sequence[int] | Integers, within: float) -> Array:
-    """A prior's precision ``(P + K, P + K)`` with some parameters held at its mean to ``within`` of their sizes."""
-    held = precision.copy()
-    held[chosen, chosen] += 1.0 / (within * problem.sizes()[chosen]) ** 2
-    return held
+    """A prior's precision ``(P + K, P + K)`` with some parameters fixed at its mean to ``within`` of their sizes."""
+    fixed = precision.copy()
+    fixed[chosen, chosen] += 1.0 / (within * problem.sizes()[chosen]) ** 2
+    return fixed
 
 
 def start_of(problem: FitProblem, start: Mapping[Slot, float] | None, priors: Sequence[Prior]) -> Array:
@@ -363,14 +363,14 @@ def start_of(problem: FitProblem, start: Mapping[Slot, float] | None, priors: Se
 def clamping_offsets(problem: FitProblem, theta: Array) -> Array:
     """Offsets ``(K,)`` at which, with the measured torques, the sweeps' mean equilibrium holds.
 
-    Of the friction that held motors keep: what their last motion left, or none where that is not known.
+    The friction of motors at rest is that of their last motion, or zero where that is not known.
     """
     rows, n = problem.rows, problem.rows.robot.n
     torque = rows.sweep.start_torque
     d = problem.chain.evaluate(theta[: len(problem.slots)], rows.signals, torque)
     wound = rows.sweep.wound + d.values[:, :n]
     run = rows.series.run
-    keys, kept = rows.series.offset_keys, rows.sweep.kept_sign * rows.sweep.held_friction
+    keys, kept = rows.series.offset_keys, rows.sweep.kept_sign * rows.sweep.loop_friction
     return np.array([wound[run == s, j].mean() if j < n else kept[s, j - n] for s, j in keys])
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from clampid.fitting.many_amplitudes import has_many_amplitudes
 from clampid.fitting.solve import Estimate, Shared, holding, point_at, solve
-from clampid.stages.fit_problem import HELD_STD
+from clampid.stages.fit_problem import FIXED_STD
 from clampid.stages.rows import Array
 
 __all__ = ["at_no_friction", "unknown_frictions", "without_unknown_friction"]
@@ -65,13 +65,13 @@ def without_unknown_friction(estimate: Estimate) -> Estimate:
 
 
 def at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
-    """The fit with some frictions held at none, its covariance as if they were free there."""
+    """The fit with some frictions fixed at none, its covariance as if they were free there."""
     problem, precision, mean = estimate.problem, estimate.prior_precision, estimate.prior_mean
     moot, value = _moot(estimate, unknown)
-    theta, at_zero, held = estimate.theta.copy(), mean.copy(), holding(problem, precision, moot, HELD_STD)
+    theta, at_zero, tight = estimate.theta.copy(), mean.copy(), holding(problem, precision, moot, FIXED_STD)
     theta[moot] = at_zero[moot] = value
     shared = Shared.at(estimate.whitened.normal) if has_many_amplitudes(problem, estimate.noise) else None
-    found = solve(problem, theta, estimate.noise, held, at_zero, errors=False, shared=shared)
+    found = solve(problem, theta, estimate.noise, tight, at_zero, errors=False, shared=shared)
     return replace(found, covariance=found.point.covariance(precision), prior_precision=precision, prior_mean=mean)
 
 

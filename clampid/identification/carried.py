@@ -109,12 +109,12 @@ def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:
         return Drives(None, contradicted)
     # What no pose determines stays out: a clearance that does not show would only stand, on a guessed flank, in
     # predictions.
-    told = tuple(
+    identified = tuple(
         s
         for s in shared_drives(clamped.slots, poses.slots, poses.problem.effects)
         if alone.identified[poses.slots.index(s)]
     )
-    return Drives(prior_from(clamped, told) if told else None, ())
+    return Drives(prior_from(clamped, identified) if identified else None, ())
 
 
 def prior_from(stage: StageModel, slots: tuple[Slot, ...]) -> Prior:

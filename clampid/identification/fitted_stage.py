@@ -168,7 +168,7 @@ def fit_stage(
             friction = RestFriction(with_friction_start(trial, priors, {**carried, **start}), None)
         estimate = fit(trial, (*priors, *friction.priors), friction.start, weights=weights)
         _refuse_no_freedom(estimate)
-        alone = with_open_friction(estimate, friction.held)
+        alone = with_open_friction(estimate, friction.fixed)
         drives = carried_drives(known_of(before, "solved") if rows.kind.points else None, alone)
         contradicted = drives.contradicted
         if drives.prior is not None:
@@ -179,7 +179,7 @@ def fit_stage(
             estimate = fit(trial, (*priors, *friction.priors), friction.start, weights=weights)
     estimate = with_kept_friction(estimate)
     if rows.kind.points and carried_prior is None:  # a joint fit has one value and error of what stages share
-        estimate = with_open_friction(with_open_flanks(estimate), friction.held)
+        estimate = with_open_friction(with_open_flanks(estimate), friction.fixed)
         estimate = with_unknown_masses(estimate) if known_of(before, "moving") is None else estimate
     universal = None
     if cost == "mean-norm":

@@ -117,8 +117,8 @@ def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
     best = settled(
         _start(parts, union),
         lambda theta: [_experiment(p).with_flanks(theta[c]) for p, c in zip(parts, union.columns, strict=True)],
-        lambda held, theta: _search(parts, held, union, theta),
-        lambda held, theta: _at(parts, held, union, theta).cost + union.off(theta),
+        lambda frozen, theta: _search(parts, frozen, union, theta),
+        lambda frozen, theta: _at(parts, frozen, union, theta).cost + union.off(theta),
     )
     weights = _weights(best, union)
     covariance = _covariance(parts, best, union, weights)
@@ -199,14 +199,14 @@ def _point(part: JointPart, trial: FitProblem, theta: Array) -> Point:
     return stage_point(trial, part.estimate.noise, theta)
 
 
-def _search(parts: Sequence[JointPart], held: Sequence[FitProblem], union: _Union, start: Array) -> _Joint:
-    """The lowest point downhill from a start ``(U,)``, with flanks held."""
-    return descend(lambda x: _at(parts, held, union, x), start, union.precision, union.mean, union.limits)[0]
+def _search(parts: Sequence[JointPart], frozen: Sequence[FitProblem], union: _Union, start: Array) -> _Joint:
+    """The lowest point downhill from a start ``(U,)``, with flanks frozen."""
+    return descend(lambda x: _at(parts, frozen, union, x), start, union.precision, union.mean, union.limits)[0]
 
 
-def _at(parts: Sequence[JointPart], held: Sequence[FitProblem], union: _Union, theta: Array) -> _Joint:
+def _at(parts: Sequence[JointPart], frozen: Sequence[FitProblem], union: _Union, theta: Array) -> _Joint:
     """The stages at one joint parameter vector ``(U,)``."""
-    found = (_point(p, e, theta[c]) for p, e, c in zip(parts, held, union.columns, strict=True))
+    found = (_point(p, e, theta[c]) for p, e, c in zip(parts, frozen, union.columns, strict=True))
     return _Joint(theta, tuple(found), union.columns)
 
 

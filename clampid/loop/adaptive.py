@@ -56,12 +56,12 @@ class Adaptive:
         except (FitError, EffectError, CampaignError, ModelError) as error:
             judged = f"diagnose cannot judge what was measured: {error}"
             why = f"the budget of {self._budget} is used up" if left <= 0 else judged
-            return self._told(None, f"nothing more is measured: {why}.")
+            return self._answer(None, f"nothing more is measured: {why}.")
         except PlanError as error:
-            return self._told(None, f"nothing more is measured: what separates them cannot be run here: {error}.")
-        return self._told(grown, found.why)
+            return self._answer(None, f"nothing more is measured: what separates them cannot be run here: {error}.")
+        return self._answer(grown, found.why)
 
-    def _told(self, plan: Plan | None, words: str) -> tuple[Plan | None, str]:
+    def _answer(self, plan: Plan | None, words: str) -> tuple[Plan | None, str]:
         said = f"Adaptive: {words}"
         self._say(said)
         return plan, said

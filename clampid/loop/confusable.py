@@ -17,7 +17,7 @@ import numpy as np
 
 from clampid.diagnosis.candidate_scores import ABLE, CONFUSABLE
 from clampid.diagnosis.next_measurement import SAME
-from clampid.diagnosis.pruning import behind
+from clampid.diagnosis.pruning import bic_gap
 from clampid.effect import Effect, Stage
 from clampid.evidence.candidates import Candidate, named_candidates
 from clampid.evidence.columns import columns_from
@@ -113,7 +113,7 @@ def evidence_apart(fitted: FittedStage, first: Term, second: Term, before: Mappi
     impossible = [_beyond(fit.estimate, term) for fit, term in zip(fits, (first, second), strict=True)]
     if impossible[0] != impossible[1]:
         return -np.inf if impossible[0] else np.inf
-    odds = behind([(fits[0].estimate, [first]), (fits[1].estimate, [second])], fitted.estimate.noise)
+    odds = bic_gap([(fits[0].estimate, [first]), (fits[1].estimate, [second])], fitted.estimate.noise)
     return float(odds[1] - odds[0])
 
 

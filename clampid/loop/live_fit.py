@@ -128,8 +128,8 @@ class LiveFit:
         for condition, value, _ in reached:
             self._say(f"  until {condition.text}: now {condition.shown(value)}")
         if all(enough for _, _, enough in reached):
-            told = " and ".join(condition.text for condition in self._until)
-            return f"Stopped early, as asked: {told}."
+            conditions = " and ".join(condition.text for condition in self._until)
+            return f"Stopped early, as asked: {conditions}."
         return None
 
     def _lines(self, model: Model, campaign: Campaign, block: Block, rows: int) -> list[str]:

@@ -104,8 +104,8 @@ def consistent_arm(model: Model, robot: RobotDescription) -> ConsistentArm:
     if stage is None or not stage.base:
         raise ModelError("expected a model with gravity identified from free-air or wrist logs, found none to export")
     bodies = any_of_role(stage.slots, "inertia_tensor")
-    K, held, rotors = _matrices(stage, robot.n, bodies)
-    target = np.array([p.value for p in stage.base]) - held
+    K, constant, rotors = _matrices(stage, robot.n, bodies)
+    target = np.array([p.value for p in stage.base]) - constant
     metric = _metric(stage, robot)
     reference = reference_bodies(robot)
     first = np.where(rotors, np.maximum(np.abs(_fitted_rotors(stage, robot.n)), LEAST_ROTOR), 1.0)
@@ -128,7 +128,7 @@ def consistent_arm(model: Model, robot: RobotDescription) -> ConsistentArm:
         mass, centre, inertia = about_centre(phi)
         links.append(Link(mass, centre + joint.point, inertia))
     turning = x[10 * robot.n :] if bodies and rotors.any() else None
-    return ConsistentArm(parameters, turning, tuple(links), K @ x + held, chi, weight)
+    return ConsistentArm(parameters, turning, tuple(links), K @ x + constant, chi, weight)
 
 
 def reference_bodies(robot: RobotDescription) -> Array:
@@ -221,7 +221,7 @@ def _matrices(
 ) -> tuple[Array, Array, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
     """K ``(B, 11 n)``, the part of the base parameters that keeps its value ``(B,)``, and which rotors are free."""
     values = stage.values()
-    K, held, rotors = np.zeros((len(stage.base), 11 * n)), np.zeros(len(stage.base)), np.zeros(n, dtype=bool)
+    K, constant, rotors = np.zeros((len(stage.base), 11 * n)), np.zeros(len(stage.base)), np.zeros(n, dtype=bool)
     for row, parameter in enumerate(stage.base):
         for slot, coefficient in parameter.terms:
             if has_role(slot, *WEIGHT_ROLES, "inertia_tensor", per="link"):
@@ -230,8 +230,8 @@ def _matrices(
                 K[row, 10 * n + _number(slot)] = coefficient
                 rotors[_number(slot)] = True
             else:
-                held[row] += coefficient * values[slot]
-    return K, held, rotors
+                constant[row] += coefficient * values[slot]
+    return K, constant, rotors
 
 
 def _metric(stage: StageModel, robot: RobotDescription) -> Array:

@@ -108,7 +108,7 @@ def plan_clamping(
     bench = ClampingBench(cell, noise, press, effects)
     for steps in STEPS_PER_QUARTER:
         sweeps = [planned_sweep(blank, press, posture, joint, steps) for posture, joint in allowed]
-        informations = bench.tell(sweeps)
+        informations = bench.evaluate(sweeps)
         for order in _choices(bench, sweeps, informations, driven, press, time):
             information = np.sum([informations[k] for k in order], axis=0)
             value = log_det(bench.prior + information * bench.scale)
@@ -117,7 +117,7 @@ def plan_clamping(
                 best = (value, [sweeps[k] for k in order], information, rows)
     if best is None:
         sweeps = [planned_sweep(blank, press, posture, joint, STEPS_PER_QUARTER[0]) for posture, joint in allowed]
-        raise PlanError(_too_short(bench, sweeps, bench.tell(sweeps), driven, press, time))
+        raise PlanError(_too_short(bench, sweeps, bench.evaluate(sweeps), driven, press, time))
     chosen = in_order(best[1])
     plan = replace(
         blank,

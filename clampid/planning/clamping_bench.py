@@ -73,14 +73,14 @@ class ClampingBench:
         cell = self.cell
         return holding_torque(cell.robot, posture, cell.gravity, cell.tool_mass, cell.tool_com)
 
-    def tell(self, sweeps: Sequence[Sweep]) -> list[Array]:
+    def evaluate(self, sweeps: Sequence[Sweep]) -> list[Array]:
         """Information ``(P, P)``, SI, of each sweep, its own unknown posture taken off."""
         out: list[Array] = []
         for start in range(0, len(sweeps), SWEEPS_AT_ONCE):
-            out += self._tell(sweeps[start : start + SWEEPS_AT_ONCE])
+            out += self._evaluate(sweeps[start : start + SWEEPS_AT_ONCE])
         return out
 
-    def _tell(self, sweeps: Sequence[Sweep]) -> list[Array]:
+    def _evaluate(self, sweeps: Sequence[Sweep]) -> list[Array]:
         rows = clamped_rows([imagined(self.cell, clamped=self._table(sweeps))], self.layout)
         ratio = np.abs(np.diag(np.asarray(self.cell.robot.transmission)))
         soft = np.tile(GAP_SOFTNESS * self.noise.sigma / ratio, (len(rows), 1))

@@ -103,7 +103,7 @@ class _Search:
     def _value(self, paths: Sequence[Sequence[Array]]) -> tuple[list[Array], Array]:
         """Scaled information of the moves of each path (all speeds), ``(moves, P, P)`` each, and the times, s."""
         courses = [course for path in paths for course in self.courses(path)]
-        informations = self.bench.tell(courses)
+        informations = self.bench.evaluate(courses)
         size, many = self.bench.size, len(self.speeds)
         out, cost = [], np.zeros(len(paths))
         for p in range(len(paths)):

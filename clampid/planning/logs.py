@@ -29,7 +29,7 @@ from experiments.plans.model import Cell
 from experiments.plans.motion import Course
 from experiments.plans.press import rated_motor_torque
 
-__all__ = ["LogBench", "Told", "TorqueNoise", "planned_log", "planned_rows", "torque_noise_of"]
+__all__ = ["LogBench", "MoveInformation", "TorqueNoise", "planned_log", "planned_rows", "torque_noise_of"]
 
 NOISE_SHARE = 0.01  # of the rated torque
 STILL = 1e-9  # rad/s: planned motion has no noise
@@ -81,7 +81,7 @@ class _Planned:
 
 
 @dataclass(frozen=True)
-class Told:
+class MoveInformation:
     """Information of moves ``(m, P, P)``, SI, and how many measured values each counts ``(m,)``."""
 
     information: Array
@@ -149,7 +149,7 @@ class LogBench:
         self.problem: FitProblem = fit_problem(torque_rows([self._blank], self.layout), effects, self.slots)
         self.size: Array = self.problem.sizes()[: len(self.slots)]
 
-    def tell(self, courses: Sequence[Course]) -> list[Told]:
+    def evaluate(self, courses: Sequence[Course]) -> list[MoveInformation]:
         """Information of every move of every course; each course is a run of its own."""
         joined = planned_log(courses, self.rate)
         rows = torque_rows([imagined(self.cell, free_air=joined)], self.layout)
@@ -165,7 +165,7 @@ class LogBench:
             out.append(self._course(jacobian[inside], used[inside], time[inside], move, len(course.duration)))
         return out
 
-    def _course(self, jacobian: Array, used: Bools, time: Array, move: Integers, moves: int) -> Told:
+    def _course(self, jacobian: Array, used: Bools, time: Array, move: Integers, moves: int) -> MoveInformation:
         """Information of each move of one run, the run's unknown constants taken off the whole in proportion."""
         count = len(self.slots)
         width = jacobian.shape[2]
@@ -188,7 +188,7 @@ class LogBench:
             own = information[:, :count, :count] - np.einsum("mpk,kl,mql->mpq", B, inverse, B)
             own[-1] += projected - own.sum(axis=0)  # cross terms between moves: only the sum is meant
             information = own
-        return Told(information[:, :count, :count], rows)
+        return MoveInformation(information[:, :count, :count], rows)
 
 
 def planned_log(courses: Sequence[Course], rate: float) -> pd.DataFrame:

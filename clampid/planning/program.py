@@ -86,7 +86,7 @@ def finished_program(
     assumed: Sequence[str] = (),
     impossible: tuple[str, ...] = (),
 ) -> Plan:
-    """The plan of these runs, with what they will tell, held against its own limits.
+    """The plan of these runs, with what they will tell, checked against its own limits.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def finished_program(
     PlanError
         A move is beyond a limit.
     """
-    informations = bench.tell([run.course for run in runs])
+    informations = bench.evaluate([run.course for run in runs])
     information = np.sum([t.information.sum(axis=0) for t in informations], axis=0)
     rows = int(sum(t.rows.sum() for t in informations))
     plan = Plan(

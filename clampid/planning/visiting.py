@@ -195,7 +195,7 @@ def finished(
     cell: Cell, limits: Limits, visits: tuple[Visit, ...], measure_time: float,
     wished: Mapping[str, float | int | str], assumed: Sequence[str], steady: Steady | None = None,
 ) -> Plan:  # fmt: skip
-    """The plan of these visits, held against its own limits.
+    """The plan of these visits, checked against its own limits.
 
     Raises
     ------

@@ -268,7 +268,7 @@ def _choose(
     size = np.outer(bench.size, bench.size)
     informations = []
     for start in range(0, len(courses), 60):  # logs of a few thousand rows at once
-        informations += [t.information.sum(axis=0) * size for t in bench.tell(courses[start : start + 60])]
+        informations += [t.information.sum(axis=0) * size for t in bench.evaluate(courses[start : start + 60])]
     parts = [factor(matrix) for matrix in informations]
     factors = np.zeros((len(parts), len(bench.size), max(p.shape[1] for p in parts)))
     for k, part in enumerate(parts):

@@ -54,7 +54,7 @@ def _tables(frame: Any, convention: str) -> list[Table]:
     framed = label.isin(["base", "tool"])
     for chosen, columns, what in ((~framed, numbered, "joints"), (framed, placed, "base and tool")):
         part = frame[chosen]
-        present = {c: t for c, t in columns.items() if _told(part, c, convention)}
+        present = {c: t for c, t in columns.items() if _has_values(part, c, convention)}
         if not len(part) or not present:
             continue
         signed = what == "joints" and "sign" in part.columns
@@ -74,7 +74,7 @@ def _tables(frame: Any, convention: str) -> list[Table]:
     return out
 
 
-def _told(part: Any, column: str, convention: str) -> bool:
+def _has_values(part: Any, column: str, convention: str) -> bool:
     if column not in part.columns or not part[column].notna().any():
         return False
     return not (convention == "standard" and column == "beta_rad")

@@ -33,7 +33,7 @@ def headline(model: Model, first: Model | None, comparison: Json | None, diagnos
         found = verdicts.get(stage)
         said = str(found.get("summary") or MEANING.get(found.get("verdict", ""), "")) if found else ""
         parts = [said.rstrip(".") + "." if said else ""]
-        if not (found and _tells_error(said, found, rounds_of(model, first, stage))):
+        if not (found and _states_error(said, found, rounds_of(model, first, stage))):
             parts.append(_fall(model, first, stage, found, comparison))
         text = " ".join(p for p in parts if p)
         if text:
@@ -41,7 +41,7 @@ def headline(model: Model, first: Model | None, comparison: Json | None, diagnos
     return out
 
 
-def _tells_error(said: str, found: Json, rounds: Sequence[Round]) -> bool:
+def _states_error(said: str, found: Json, rounds: Sequence[Round]) -> bool:
     """Whether a summary gives the held-out error already, and nothing was added since."""
     after = found.get("heldout_rms_after")
     further = len(rounds) > 1 and (after is None or abs(rounds[-1].heldout_rms / float(after) - 1.0) > 0.02)

@@ -1,18 +1,18 @@
-"""The clamping experiment: the flange is held, one motor goes back and forth in small steps, springs wind up.
+"""The clamping experiment: the flange is clamped, one motor goes back and forth in small steps, springs wind up.
 
-With the flange held the arm cannot move, so that every joint's spring, gap and the fixture take up what the motors do::
+With the flange clamped the arm cannot move: the joints' springs and gaps and the fixture take up the motors' motion::
 
     T' theta_m + dq(tau) = q_clamp + offset + J^-1 (motion of the fixture)
 
-is solved for the joint torques tau, row by row; then tau_motor = T (tau + friction at the joint) + friction at the
-motor. The offset is the posture at which the
-arm was clamped, one per joint and sweep, unknown. Gravity only shifts load between clamp and drives: it is in there
-too.
+This is solved for the joint torques tau, row by row; then tau_motor = T (tau + friction at the joint) + friction at the
+motor. The offset is the unknown posture at which the arm was clamped, one per joint and sweep. Gravity only shifts load
+between clamp and drives; the offset includes it.
 
-A motor that is held keeps some friction: what its last motion left or, since the arm was clamped, anything between what
-it has in either direction. The offsets take that up, unless the joint's torque changes all the same, because a block
-yields or slips: then it decides when the joint's gap is crossed. So it is unknown too, one per held motor and sweep,
-however little its torque changes: less than the noise of a row, over a whole sweep, tells a clearance that is crossed.
+A motor at rest keeps some friction: that of its last motion or, if it has not moved since the arm was clamped, any
+value between its limits. The offsets absorb it if the joint's torque stays constant. If a block yields or slips, the
+torque changes, and this friction decides when the joint's gap is crossed. So it is an unknown too, one per motor at
+rest and sweep. This holds for small changes of torque as well: a change below the noise of one row still reveals a
+crossed clearance over a whole sweep.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     Parameters
     ----------
     offsets
-        ``(K,)``: one per joint and sweep, rad, and one per held motor, Nm; see the module.
+        ``(K,)``: one per joint and sweep, rad, and one per motor at rest, Nm; see the module.
     """
     n, count = rows.robot.n, len(rows)
     T = np.asarray(rows.robot.transmission)
@@ -59,19 +59,19 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
             balance[:, :, parameter] -= inverse[:, :, station - n] * part[:, None]
     jacobian = np.zeros((count, n, len(chain.slots) + len(offsets)))
     jacobian[:, :, : len(chain.slots)] = direct - by_angle @ balance
-    for k, (sweep, held) in enumerate(keys):  # an offset is an angle that is missing, in the rows of its own sweep
+    for k, (sweep, unknown) in enumerate(keys):  # an offset is an angle that is missing, in the rows of its own sweep
         mine = run == sweep
-        if held < n:
-            jacobian[mine, :, len(chain.slots) + k] = by_angle[mine, :, held]
+        if unknown < n:
+            jacobian[mine, :, len(chain.slots) + k] = by_angle[mine, :, unknown]
         else:
-            jacobian[mine, held - n, len(chain.slots) + k] = 1.0
+            jacobian[mine, unknown - n, len(chain.slots) + k] = 1.0
     return left, jacobian
 
 
 def residual_by_angle(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Array, Array]:
-    """Measured less predicted motor torques ``(N, n)``, Nm, and what a missing angle of a joint does to the prediction.
+    """Measured less predicted motor torques ``(N, n)``, Nm, and their derivative by each joint's missing angle.
 
-    The latter ``(N, n, n)``, Nm/rad, by motor and joint; friction that a held motor keeps adds to its torque as it is.
+    The latter ``(N, n, n)``, Nm/rad, by motor and joint. Friction of a motor at rest is added to its torque directly.
     """
     left, by_angle, _ = _by_angle(rows, chain, theta, offsets)
     return left, by_angle
@@ -164,8 +164,9 @@ def _equilibrium(
 def _rigid(rows: Rows, chain: Chain, theta: Array) -> Array:
     """Compliance ``(n,)``, rad/Nm, of joints for which the model has no spring; zero of all others.
 
-    A drive that does not yield could not be turned where the flange is held, and its torque would have no value. Of one
-    without a spring in the model it is ten times that of its loops: wrong, but not beyond what a search can reach.
+    A drive without any compliance could not be turned while the flange is clamped, and its torque would be undefined.
+    A joint without a spring in the model gets :data:`STIFF` times the compliance of its loops: ten times too stiff, but
+    within reach of a search.
     """
     T = np.asarray(rows.robot.transmission)
     first = {name: values[:1] for name, values in rows.signals.items()}

@@ -1,4 +1,4 @@
-"""Rows of the clamping experiment: sweeps with what motions, springs and friction they show at a glance."""
+"""Rows of the clamping experiment: sweeps, with rough estimates of motion, compliance and friction."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kinematics.poe import forward, space_jacobian
 __all__ = ["BLOCK_ROWS", "GAP_SOFTNESS", "clamped_rows"]
 
 BLOCK_ROWS = 8  # neighbouring rows share their noise and are flipped together
-STILL, SETTLED = 1e-3, 0.9  # of a motor's usual step: less is a motor held; so far, and its friction has built up
+STILL, SETTLED = 1e-3, 0.9  # of a motor's usual step: less is a motor at rest; SETTLED of it builds up its friction
 SLIPS = (0.05, 0.15, 0.4)  # of a sweep's amplitude, which an element takes to be wound up: twice that after a reversal
 GAP_SOFTNESS = 0.1  # of a torque's noise, at the joint: how sharply a gap closes
 
@@ -55,7 +55,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
             # A coupled joint's sweep turns several motors a little: each has its own friction, by its own steps.
             sign = np.where(np.abs(steps[:, j]) > STILL * typical[j], np.sign(steps[:, j]), 0.0)
             if not sign.any():
-                continue  # a held motor: its friction is a constant that the offsets take up
+                continue  # a motor at rest: its friction is a constant that the offsets take up
             for i in range(1, len(sign)):
                 sign[i] = sign[i] or sign[i - 1]
             motion[rows, j] = sign
@@ -110,7 +110,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
             time=time,
             offset_keys=np.array([(s, j) for s in range(sweeps) for j in range(n)] + keeping),
             loop_compliance=compliance,
-            held_friction=loop_friction(motor, measured, motion, used, sweep),
+            loop_friction=loop_friction(motor, measured, motion, used, sweep),
             stood=stood,
             kept_sign=_kept_signs(motion, used, stood, sweep),
             driven=driven,
@@ -158,7 +158,7 @@ def _stood(motor: Array, typical: Array, sweep: Integers, session: Integers) -> 
 def _kept_signs(motion: Array, used: Bools, stood: Bools, sweep: Integers) -> Array:
     """The side ``(sweeps, n)``, +1 or -1, of the friction that a motor keeps from the sweep before; 0 if not known.
 
-    It is that of its last motion, once friction had built up, as long as the motor has not moved since.
+    It is the side of the motor's last motion after friction had built up, if the motor has not moved since.
     """
     out = np.zeros(stood.shape)
     for s in range(1, len(stood)):
@@ -212,7 +212,7 @@ def loop_compliance(
 
 
 def loop_friction(motor: Array, measured: Array, motion: Array, used: Bools, sweep: Integers) -> Array:
-    """A rough dry friction of each motor ``(n,)``, Nm: half of how far the branches of its own loops are apart."""
+    """A rough dry friction of each motor ``(n,)``, Nm: half the distance between the branches of its own loops."""
     n = motor.shape[1]
     out = np.full(n, np.nan)
     for j in range(n):

@@ -1,9 +1,9 @@
 """Which rows of a torque log count, the signals of its motion, and its folds: for logs held whole and by windows alike.
 
-Static friction is indeterminate, so that a motor at rest says nothing, unless the model has friction's state. Dry
-friction takes a distance to build up: between rest and clear motion its torque is not known either. Where a motor turns
-while a joint that it is coupled with has not moved in the whole run, the dry friction of that joint's arm side is an
-unknown constant of the run.
+Static friction is indeterminate, so rows of a motor at rest do not count, unless the model has a state of friction. Dry
+friction builds up over a distance: between rest and clear motion its torque is unknown too. If a motor turns while a
+joint coupled with it has not moved in the whole run, the dry friction of that joint's arm side is an unknown constant
+of the run.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from clampid.effect import Effect
 from clampid.roles import INERTIAS
 from clampid.stages.log_facts import LogFacts, Motion
 from clampid.stages.rows import Array, Bools, Integers
-from experiments.signals import held_sign
+from experiments.signals import carried_sign
 
 __all__ = [
     "FIFTHS",
@@ -37,7 +37,7 @@ INERTIA_SHARE = 0.5  # of the noise between neighbouring rows
 
 
 class Thresholds(Protocol):
-    """What of :class:`clampid.stages.log_facts.LogFacts` says which rows count; a log that is only planned has it too.
+    """The thresholds by which rows count, of a recorded (:class:`clampid.stages.log_facts.LogFacts`) or planned log.
 
     ``(n,)`` each: speeds of rest and of clear motion of joints and of motors, rad/s; accelerations of steady motion,
     rad/s²; noise of the torques between neighbouring rows, Nm. ``(R, n)``: whether the joint moves in that run.
@@ -62,7 +62,7 @@ class Thresholds(Protocol):
 def motion_signals(
     motion: Motion, transmission: Array, facts: LogFacts, run: Integers, time: Array
 ) -> dict[str, Array]:
-    """Signals of :data:`clampid.effect.SIGNALS` that follow from motion alone, ``(N, n)`` each, ``elapsed`` ``(N,)``.
+    """Signals of :data:`clampid.effect.SIGNALS` that depend on motion only, ``(N, n)`` each, ``elapsed`` ``(N,)``.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def motion_signals(
     to_motor = np.linalg.inv(transmission)  # rows: w_joint @ T^-1 = (T^-T w_joint)'
     joint_speed, motor_speed = motion.speed, motion.speed @ to_motor
     motor = motion.position @ to_motor
-    joint_motion = held_sign(joint_speed, facts.rest, run, motion.position, time)
+    joint_motion = carried_sign(joint_speed, facts.rest, run, motion.position, time)
     gear = np.diag(transmission)
     return {
         "q": motion.position,
@@ -84,7 +84,7 @@ def motion_signals(
         "joint_speed": joint_speed,
         "motor_speed": motor_speed,
         "joint_motion": joint_motion,
-        "motor_motion": held_sign(motor_speed, facts.rest_motor, run, motor, time),
+        "motor_motion": carried_sign(motor_speed, facts.rest_motor, run, motor, time),
         "own_speed": joint_speed / gear,
         "own_motion": joint_motion * np.sign(gear),
         "joint_acceleration": motion.acceleration,
@@ -99,7 +99,7 @@ def explains_acceleration(active: Collection[Effect]) -> bool:
 
 
 def explains_rest(active: Collection[Effect]) -> bool:
-    """Whether some effects say what friction is at rest, so that such rows can be used."""
+    """Whether some effects model the friction at rest, so that such rows can be used."""
     return any("friction_state" in effect.acts for effect in active)
 
 
@@ -122,7 +122,7 @@ def counting(
     Parameters
     ----------
     signals
-        Of :func:`motion_signals`, their held signs carried on from before the rows.
+        Of :func:`motion_signals`, their signs carried on from before the rows.
     run
         The log's number of each row's run ``(N,)``.
     wrist
@@ -130,7 +130,7 @@ def counting(
     accelerating
         Use rows in acceleration.
     resting
-        Use rows of motors at rest; not before a motor's first motion in a run, when nobody knows its friction.
+        Use rows of motors at rest, except before a motor's first motion in a run: its friction is unknown there.
     """
     out = np.abs(signals["motor_speed"]) > np.maximum(facts.rest_motor, facts.clear_motor)
     if resting:
@@ -146,10 +146,10 @@ def counting(
 
 
 def negligible(inertia: Array, facts: Thresholds) -> Bools:
-    """Whether motor torques of inertia ``(N, n)``, Nm, are little against the noise.
+    """Whether motor torques of inertia ``(N, n)``, Nm, are small compared with the noise.
 
-    Masses are described well enough for gravity, not for full dynamics: what they give in acceleration is taken off,
-    and where that is more than a fraction of the noise, the row is left out.
+    The described masses are accurate enough for gravity, not for full dynamics. Their torque of acceleration is
+    subtracted; rows in which it exceeds a fraction of the noise are left out.
     """
     return np.asarray(np.abs(inertia) <= INERTIA_SHARE * facts.noise)
 

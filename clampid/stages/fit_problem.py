@@ -1,4 +1,4 @@
-"""What is fitted: rows and the effects that are active in them, as one function of one parameter vector."""
+"""The problem of a fit: rows and their active effects, as one function of one parameter vector."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from clampid.stages.statements import stated_equations
 from kinematics.description import RobotDescription
 from kinematics.masses import own_moment
 
-__all__ = ["HELD_STD", "FitProblem", "fit_problem", "parameter_of"]
+__all__ = ["FIXED_STD", "FitProblem", "fit_problem", "parameter_of"]
 
 
-HELD_STD = 1e-9  # sizes: as tightly as numbers allow
+FIXED_STD = 1e-9  # sizes: as tightly as numbers allow
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class FitProblem:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What the slots are values of ``(P,)``, with sizes and bounds for this robot's gears."""
+        """The parameters of the slots ``(P,)``, with sizes and bounds for this robot's gears."""
         return tuple(parameter_of(slot, self.effects, self.rows.robot) for slot in self.slots)
 
     def numbers_of(self, *roles: Role, per: Per | None = None) -> list[int]:
@@ -87,11 +87,11 @@ class FitProblem:
         return self.kind.derivative(*self._parts(theta), first)
 
     def moved(self, theta: Array, steps: Array) -> Array:
-        """What steps ``(P + K, k)`` do to the prediction ``(N, m, k)``, to first order."""
+        """Change of the prediction ``(N, m, k)`` by steps ``(P + K, k)``, to first order."""
         return self.kind.moved(*self._parts(theta), steps)
 
     def by_joint(self, theta: Array) -> Array:
-        """In poses, what a small turn of each joint does to the prediction ``(N, m, n)``, m/rad and rad/rad."""
+        """In poses, the derivative of the prediction by the joint angles ``(N, m, n)``, m/rad and rad/rad."""
         deviations = poses.evaluate(self.rows, self.chain, theta[: len(self.slots)])
         return poses.by_station(self.rows, deviations)[1][:, :, : self.rows.robot.n]
 
@@ -104,7 +104,7 @@ class FitProblem:
         return replace(self, chain=replace(self.chain, lean=lean))
 
     def with_flanks(self, theta: Array) -> FitProblem:
-        """The same with flanks and loads held where these parameters put them; only poses have any."""
+        """The same with flanks and loads frozen where these parameters put them; only poses have any."""
         if self.kind.frozen is None:
             return self
         signals = self.kind.frozen(self.rows, self.chain, theta[: len(self.slots)])
@@ -115,23 +115,23 @@ class FitProblem:
         return fit_problem(self.rows, self.effects, slots, self.chain.lean)
 
     def start(self) -> Array:
-        """A start, and what is assumed before any row is seen: amplitudes zero, shapes and shares as they say.
+        """Initial values, which are also the prior mean: amplitudes zero, shapes and shares as declared.
 
-        In ``poses`` springs are stiff, but no stiffer than springs are: dry friction in an infinitely stiff one does
-        nothing, so that where a joint bears no load its clearance would seem separated from friction that winds it up.
+        In ``poses`` springs start at their nominal stiffness. Friction has no effect through an infinitely stiff
+        spring, so at an unloaded joint clearance and friction would falsely look distinguishable.
         """
         share = self.kind.spring_start
         own = [p.start if share is None or p.role != "compliance" else share * p.size for p in self.parameters]
         return np.array([*own, *([0.0] * self.offsets)])
 
     def sizes(self) -> Array:
-        """What each parameter may reasonably amount to ``(P + K,)``."""
+        """Plausible size of each parameter ``(P + K,)``."""
         return np.array([*(p.size for p in self.parameters), *self._offset_sizes[0]])
 
     def prior_std(self) -> Array:
-        """Standard deviations ``(P + K,)`` of what is assumed of each parameter before any row is seen."""
+        """Standard deviations ``(P + K,)`` of each parameter's prior."""
         std = np.array([*(p.prior_std for p in self.parameters), *self._offset_sizes[1]])
-        std = np.where(self.fixed(), HELD_STD * self.sizes(), std)
+        std = np.where(self.fixed(), FIXED_STD * self.sizes(), std)
         for k, slot in enumerate(self.slots):
             if self.effects[slot.effect].event == slot.parameter:  # somewhere between two rows
                 share = self.rows.signals["sweep_progress"] % 1.0
@@ -145,19 +145,19 @@ class FitProblem:
         prior: list[float] = []
         for _, joint in self.rows.offset_keys:
             kept = joint - self.rows.robot.n
-            size.append(self.kind.offset_size if kept < 0 else float(self.rows.sweep.held_friction[kept]))
+            size.append(self.kind.offset_size if kept < 0 else float(self.rows.sweep.loop_friction[kept]))
             prior.append(WEAK_SPREAD * size[-1] if kept < 0 else size[-1])  # friction at rest is no more than in motion
         return size, prior
 
     def prior(self) -> tuple[Array, Array]:
-        """Precision ``(P + K, P + K)`` and mean ``(P + K,)`` of what is assumed before any row is seen."""
+        """Precision ``(P + K, P + K)`` and mean ``(P + K,)`` of the prior."""
         precision, mean = np.diag(1.0 / self.prior_std() ** 2), self.start()
         if self.kind.prior is not None:
             precision, mean = self.kind.prior(self.rows, len(self.slots), precision, mean)
         return self._with_statements(precision, mean)
 
     def _with_statements(self, precision: Array, mean: Array) -> tuple[Array, Array]:
-        """A prior with what the campaigns state: of independent errors precisions add, and precisions times means."""
+        """A prior combined with the campaigns' statements: for independent errors precisions and their means add."""
         index = {slot: k for k, slot in enumerate(self.slots)}
         at, matrix, value = stated_equations(self.rows.constants.stated, index)
         if len(value):
@@ -167,7 +167,7 @@ class FitProblem:
         return precision, mean
 
     def fixed(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """Which parameters ``(P + K,)`` a fit keeps where they start."""
+        """Which parameters ``(P + K,)`` a fit keeps fixed at their initial values."""
         return np.array([*fixed_slots(self.slots, self.effects), *([False] * self.offsets)], dtype=bool)
 
     def own(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -176,11 +176,11 @@ class FitProblem:
         return np.array([*events, *([True] * self.offsets)], dtype=bool)
 
     def clear(self) -> Array:
-        """Standard errors ``(P + K,)`` below which the rows, and not what was assumed, tell a parameter."""
+        """Standard errors ``(P + K,)`` below which a parameter counts as identified by the rows, not by its prior."""
         return np.array([*(p.clear for p in self.parameters), *self._offset_sizes[0]])
 
     def clearances(self, theta: Array) -> Array:
-        """How far the joints play ``(n,)``, rad, at the slots' values ``theta`` ``(P,)``."""
+        """Clearances of the joints ``(n,)``, rad, at the slots' values ``theta`` ``(P,)``."""
         out = np.zeros(self.rows.robot.n)
         for k in self.numbers_of("clearance"):
             out[int(self.slots[k].place.removeprefix("joint")) - 1] += abs(float(theta[k]))
@@ -200,8 +200,8 @@ class FitProblem:
     def bounded(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which parameters ``(P + K,)`` a fit keeps within their bounds.
 
-        Shapes, shares, and all of a clamped arm, which has no equilibrium otherwise. An amplitude that comes out beyond
-        what is physical says that something else is wrong, such as friction that drives of an angle that is mirrored.
+        Shapes, shares, and all parameters of a clamped arm, which has no equilibrium otherwise. Other amplitudes may
+        leave their physical bounds: that reveals another error, such as negative friction from a mirrored angle.
         """
         own = [p.shape or p.share or self.kind.solved for p in self.parameters]
         return np.array([*own, *([self.kind.solved] * self.offsets)], dtype=bool)

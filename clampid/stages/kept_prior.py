@@ -1,4 +1,4 @@
-"""What is known of the friction that motors keep while the flange is clamped, before any row is seen."""
+"""Prior of the friction that motors at rest keep while the flange is clamped."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ LOOP_SHARE = 0.25  # of its friction: how exactly the loops of its last motion s
 def with_kept_friction(rows: Rows, first: int, precision: Array, mean: Array) -> tuple[Array, Array]:
     """A prior ``(P + K, P + K)``, ``(P + K,)`` with that of motors that stood still, offsets from ``first`` on.
 
-    A motor keeps its friction as long as it stands still, but for a little that creeps away: that of its last
-    motion, about as large as its own loops show it, or where it has not moved since the arm was clamped, any.
+    A motor at rest keeps its friction, except for a small creep. Its prior mean is the friction of its last motion,
+    known from its own loops; if the motor has not moved since the arm was clamped, the prior is wide.
     """
     sweep, n = rows.sweep, rows.robot.n
     keys = [(int(s), int(k)) for s, k in sweep.offset_keys]
@@ -25,7 +25,7 @@ def with_kept_friction(rows: Rows, first: int, precision: Array, mean: Array) ->
         at, before = place[s, k], place.get((s - 1, k))
         if k < n or not sweep.stood[s, k - n]:
             continue
-        friction = float(sweep.held_friction[k - n])
+        friction = float(sweep.loop_friction[k - n])
         if before is not None:
             pair = np.ix_([before, at], [before, at])
             mean[at], precision[at, at] = mean[before], 0.0

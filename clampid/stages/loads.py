@@ -170,10 +170,10 @@ def bearing_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
             force[:, i - 1, :, 4 * i :: 4] = np.einsum("nji,j->ni", R, g)[:, :, None]
     R = G[:, n, :3, :3]
     end = np.einsum("nij,j->ni", R, points[n]) + G[:, n, :3, 3]
-    held = np.einsum("nij,j->ni", R, tool_at) + G[:, n, :3, 3]
+    tool_place = np.einsum("nij,j->ni", R, tool_at) + G[:, n, :3, 3]
     weight = campaign.tool.mass * g
     link_moment, link_force = weighed(moment), weighed(force)
-    link_moment[:, n - 1] = np.einsum("nji,nj->ni", R, np.cross(held - end, weight))
+    link_moment[:, n - 1] = np.einsum("nji,nj->ni", R, np.cross(tool_place - end, weight))
     link_force[:, n - 1] = np.einsum("nji,j->ni", R, weight)
     flat = (len(q), 3 * n, 4 * n)
     return {
@@ -191,7 +191,7 @@ def bearing_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
 def inertial_signals(campaign: Campaign, q: Array, speed: Array, acceleration: Array) -> dict[str, Array]:
     """Regressors and nominal torque of motion ``(N, n)`` each, gravity left out.
 
-    ``regressor`` ``(N, n, 4n)`` of the links' (m, m c) with their inertias about their own joints held;
+    ``regressor`` ``(N, n, 4n)`` of the links' (m, m c) with their inertias about their own joints fixed;
     ``tool_regressor`` ``(N, n, 4)``; ``link_inertia_regressor`` ``(N, n, 6n)``; ``inertia_torque`` ``(N, n)``, Nm, of
     the same bodies as the gravity torque: see :func:`inertial_bodies`.
     """

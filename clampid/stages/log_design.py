@@ -1,7 +1,7 @@
-"""A torque log as what a fit needs of it, a window at a time: motors' rows of the design, linear about some parameters.
+"""The design matrix of a torque log, one window at a time: motors' rows, linearised about some parameters.
 
-The same rows count as in `clampid.stages.torques`, and the same torques are predicted; but nothing is kept of a row
-besides, and of a long log not even that: its windows are read again whenever they are gone through.
+The same rows count as in `clampid.stages.torques`, with the same predictions. Only the design is kept in memory, and
+of a long log not even that: its windows are read again in every pass.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Channel:
 
     @cached_property
     def groups(self) -> Grouping:
-        """What of these rows is taken together."""
+        """The groups of rows that share their noise."""
         return Grouping.of(self.row, self.stretch, self.together)
 
     @cached_property
@@ -124,7 +124,7 @@ class _Prepared:
 
 @dataclass
 class _Carried:
-    """The way that joints and motors last moved, before a window begins."""
+    """Directions in which joints and motors last moved before a window begins."""
 
     run: int
     joint: Array
@@ -132,10 +132,10 @@ class _Carried:
 
 
 class LogDesign:
-    """A log's design, to be gone through as often as wanted.
+    """A log's design, for any number of passes.
 
-    Where the effects are not linear in their parameters, it is that about ``at`` ``(P + K,)``, at first zero;
-    :meth:`move` moves it.
+    If effects are not linear in their parameters, it is linearised about ``at`` ``(P + K,)``, at first zero;
+    :meth:`move` changes that point.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ class LogDesign:
     kept_bytes
         How much of the design may be kept between passes.
     sampled
-        How many rows of the log, about, the first pass sets aside.
+        About how many rows of the log the first pass samples.
     """
 
     def __init__(
@@ -213,7 +213,7 @@ class LogDesign:
         self._kept = self._sample = self._prepared = None
 
     def move(self, theta: Array) -> None:
-        """Make it the design about these slots' values ``(P + K,)``; constants of runs are linear, and stay zero."""
+        """Linearise about these slots' values ``(P + K,)``; constants of runs are linear and stay zero."""
         at = np.r_[theta[: len(self.chain.slots)], np.zeros(len(self.offset_keys))]
         if not self.linear and not np.array_equal(at, self.at):
             self.at = at
@@ -237,7 +237,7 @@ class LogDesign:
         self._kept, self._sample = kept, sample
 
     def _some(self, block: Block) -> list[Sampled]:
-        """What is set aside of a window."""
+        """The sampled rows of a window."""
         out = []
         for c, channel in enumerate(block.channels):
             chosen = channel.own + np.flatnonzero(channel.row[channel.own :] % self._every == 0)
@@ -341,7 +341,7 @@ class LogDesign:
     def _carried_on(
         self, signals: dict[str, Array], w: Window, run: Integers, carried: _Carried | None
     ) -> _Carried | None:
-        """Carry the signs of the last motion on from before the window, and say what they are before the next."""
+        """Carry the signs of the last motion into the window; return those for the next window."""
         joint, motor = signals["joint_motion"], signals["motor_motion"]
         if carried is not None:
             for signs, old in ((joint, carried.joint), (motor, carried.motor)):

@@ -1,6 +1,6 @@
-"""What has to be known of a whole torque log before any of its rows can be used: steps, noise, thresholds, runs.
+"""Facts of a whole torque log that are needed before any of its rows can be used: steps, noise, thresholds, runs.
 
-Two passes over the log; what is kept is a few numbers, and a line per run.
+Two passes over the log; the result is a few numbers and a line per run.
 """
 
 from __future__ import annotations
@@ -170,9 +170,9 @@ class LogFacts:
     noise
         ``(n,)``: of the torques, between neighbouring rows, Nm.
     regression
-        ``(n,)``: what a regression on rigid-body dynamics and friction leaves of torques that it has not seen, rms in
-        Nm, with two standard errors added; infinite where the log is too short for one. No model under test has a part
-        in it (:func:`clampid.stages.motion_choice.Regression`).
+        ``(n,)``: held-out error of a regression on rigid-body dynamics and friction, rms in Nm, plus two standard
+        errors; infinite where the log is too short for one. It is independent of the model under test
+        (:func:`clampid.stages.motion_choice.Regression`).
     motions
         How its rows move.
     rest, rest_motor, clear, clear_motor
@@ -223,12 +223,12 @@ _KNOWN: WeakKeyDictionary[Campaign, dict[tuple[tuple[str, ...], int, int], LogFa
 
 
 def halo_of(step: float, window_s: float = WINDOW_S) -> int:
-    """Rows on either side of a window: its noise remembers some, whose speeds and accelerations reach for others."""
+    """Rows on either side of a window that it needs: for the noise's correlation, and for speeds and accelerations."""
     return prewhitening.LONGEST_LAG * together_of(step) + max(NEIGHBOURS, NEIGHBOURS_READ * round(window_s / step))
 
 
 def together_of(step: float) -> int:
-    """How many rows are one number to the noise: what changes quicker, the drives' vibration, says little."""
+    """How many neighbouring rows are averaged as one number for the noise; faster changes are the drives' vibration."""
     return max(1, round(TOGETHER_S / step))
 
 
@@ -317,7 +317,7 @@ def _facts_of(parts: Sequence[LogPart], window: int, in_memory: int) -> LogFacts
 
 
 def _motions_of(parts: Sequence[LogPart], step: float, default: Way, window: int) -> tuple[Motions, Array]:
-    """The motion of the log, taken as its torques like best; mean squares ``(n, blocks)`` that are left then, Nm²."""
+    """The motion of the log by the choice of least torque error, and its mean squares ``(n, blocks)``, Nm²."""
     n = parts[0].campaign.robot.n
     candidates = ways(default, step, 2 * smallest_half())
     rows = sum(part.table.rows for part in parts)
@@ -361,7 +361,7 @@ def _credible(left_out: Array) -> Array:
 
 
 def _smoothest(w: Window, n: int, step: float, window_s: float) -> Array:
-    """Speeds ``(w, n)`` over a long window, rad/s: differences across it, which say what moves and what does not."""
+    """Speeds ``(w, n)`` over a long window, rad/s: differences across it, which separate motion from rest."""
     q, half = stacked(w, joint_columns("q", "rad", n)), max(1, round(0.5 * window_s / step))
     ahead, behind = np.minimum(np.arange(len(q)) + half, len(q) - 1), np.maximum(np.arange(len(q)) - half, 0)
     same = w.columns["run"][ahead] == w.columns["run"][behind]

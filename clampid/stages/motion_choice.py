@@ -139,7 +139,7 @@ def ways(default: Way, step: float, smallest: int) -> list[list[Way]]:
 
 
 def chosen_way(default: Way, candidates: Sequence[Sequence[Way]], score: _Score) -> tuple[Way, Array]:
-    """The way of the least error left out, or the default where no other is clearly better; and its squares left out.
+    """The candidate of least held-out error, or the default if none is clearly better; and its held-out squares.
 
     Along the first source a search ends with the first window that makes the error larger; of another source the best
     window of the first is tried, and those beside it as long as they make the error smaller.
@@ -147,7 +147,7 @@ def chosen_way(default: Way, candidates: Sequence[Sequence[Way]], score: _Score)
     Parameters
     ----------
     score
-        Way → squares left out ``(n, BLOCKS)``, Nm², of the same rows for every way.
+        Candidate → held-out squares ``(n, BLOCKS)``, Nm², of the same rows for every candidate.
     """
     known: dict[Way, Array] = {default: score(default)}
     moved = np.isfinite(known[default])
@@ -226,7 +226,7 @@ class Regression:
         return sorted({float(v) for v in np.maximum(shares, RESOLVED) if np.isfinite(v)})
 
     def inertia(self) -> Array:
-        """What an acceleration of each joint asks of each motor ``(n, n)``, kg m², as described; rms over some rows."""
+        """Torque of each motor per acceleration of each joint ``(n, n)``, kg m², as described; rms over some rows."""
         n, every = len(self._motors), max(1, sum(len(e.row) for e in self._excerpts) // ROWS_WEIGHED)
         columns, before = [], 0
         for e in self._excerpts:  # the same rows however the log is cut into windows
@@ -238,7 +238,7 @@ class Regression:
         return np.asarray(np.sqrt(np.mean(np.concatenate(columns) ** 2, axis=0)))
 
     def squares(self, fitted: Bools | None = None, judged: Bools | None = None) -> Array:
-        """Mean squares ``(n, BLOCKS)``, Nm², of torques predicted by a regression that has not seen their block.
+        """Held-out mean squares ``(n, BLOCKS)``, Nm²: torques predicted by a regression on the other folds.
 
         Parameters
         ----------
@@ -258,12 +258,12 @@ class Regression:
 def trusted_rows(plain: Regression, direct: Regression, left_out: Array) -> tuple[tuple[float, ...], Array]:
     """The misfits ``(n,)`` from which on rows do not count, or none; and squares left out ``(n, BLOCKS)`` of the rest.
 
-    Where a log is sampled so seldom that a ramp lies between two samples, no derivative is right there, and what such
-    rows are off biases all that is fitted. So it is tried whether the rows that show their motion best are predicted
-    better without others. All rows count unless they are, by more than two standard errors over the blocks. Else those
-    count with which this is best, and of them those whose misfits, by the masses as described, are little against the
-    noise; at least a twentieth of all. (Rows of a program that is repeated are also predicted well where they are
-    wrong: they are wrong alike.)
+    If a whole ramp lies between two samples of a log, no derivative is right there, and the errors of such rows bias
+    the fit. So the regression is repeated with only the best resolved rows. All rows count unless the held-out error of
+    the best resolved rows falls by more than two standard errors over the blocks. Else the share with the least error
+    counts, and of it the rows whose misfits, with the described masses, are small compared with the noise; at least a
+    twentieth of all. (This last condition is needed because rows of a repeated program have equal errors, which a
+    regression predicts well.)
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ __all__ = ["kernel", "link_points", "pose_function"]
 
 
 def link_points(robot: Any) -> Array:
-    """Where each link's far end is at the zero pose ``(n, 3)``: the next joint's point; at last the flange."""
+    """Far end of each link at the zero pose ``(n, 3)``: the next joint's point; for the last link the flange."""
     return np.array([*(joint.point for joint in robot.joints[1:]), robot.flange[:3, 3]])
 
 
@@ -46,7 +46,7 @@ def _kernel(n: int, linkage: bytes, screws: bytes, points: bytes, flange: bytes)
 
 
 def pose_function(linkage: Array, screws: Array, points: Array, flange: Array) -> Any:
-    """The casadi function behind :func:`kernel`, of an empty vector and one row, for who builds more upon it.
+    """The casadi function of :func:`kernel`, of an empty vector and one row, for use in larger expressions.
 
     Parameters
     ----------

@@ -89,9 +89,8 @@ def pose_rows(
     Parameters
     ----------
     base
-        Session → ``(4, 4)``, where the instrument sees the robot's base. Without it that is what the campaign states
-        or, where it does not, found from the rows by aligning the nominal robot with what was measured; where that is
-        distances only, it is the base itself.
+        Session → ``(4, 4)``, the robot's base in the instrument's frame. Without it: as the campaign states; else by
+        aligning the nominal robot with the measured points; for distances only, the base frame itself.
     anchors
         Session → anchor → ``(3,)``, where the instrument sees that. Without it they are located from the distances to
         the nominal robot's targets.
@@ -126,7 +125,7 @@ def anchors_of(rows: Rows) -> dict[int, dict[str, Array]]:
 
 @dataclass(frozen=True)
 class _Read:
-    """What an instrument read: columns of the rows' numbers ``(N, m)``, and what only some instruments have.
+    """Readings of an instrument: columns of the rows' numbers ``(N, m)``, and further fields of some instruments.
 
     See :class:`clampid.stages.row_constants.PoseConstants`; ``axes`` as ``noise_axes`` there.
     """

@@ -46,7 +46,7 @@ def link_vectors(robot: Any) -> Array:
 
 
 def constants_of(robot: Any) -> dict[str, Array]:
-    """What effects may read of the nominal robot.
+    """Constants of the nominal robot that effects may read.
 
     ``transmission`` and ``linkage`` ``(n, n)``; ``link_vectors`` ``(n, 3)``, m; ``turning_axes`` ``(n, 3)``: unit
     vectors, base axes at the zero pose, zero for joints that slide.
@@ -60,7 +60,7 @@ def constants_of(robot: Any) -> dict[str, Array]:
 
 
 def predict(rows: Rows, deviations: Deviations) -> tuple[Array, Array, Array]:
-    """Positions and orientations, and what a deviation at each station does to them.
+    """Positions and orientations, and their derivative by the deviation at each station.
 
     Returns
     -------
@@ -97,8 +97,8 @@ def flanks(rows: Rows, chain: Chain, theta: Array) -> Array | None:
 def frozen_flanks(rows: Rows, chain: Chain, theta: Array) -> Mapping[str, Array]:
     """The rows' signals with flanks and loads where these parameters put them.
 
-    The arm stands a little lower than commanded, where its weight has another lever: a few thousandths of the load,
-    of which one step of the fixed point leaves a few millionths.
+    The arm sags a little, which changes the lever of its weight: by a few thousandths of the load. One step of the
+    fixed-point iteration reduces this error to a few millionths.
     """
     if not chain.reads_flanks and chain.yield_function is None:
         return rows.signals
@@ -113,7 +113,7 @@ def frozen_flanks(rows: Rows, chain: Chain, theta: Array) -> Mapping[str, Array]
 
 
 def evaluate(rows: Rows, chain: Chain, theta: Array) -> Deviations:
-    """Deviations at the flanks and loads that are held, or else at those that these parameters give."""
+    """Deviations at the flanks and loads that are frozen, or else at those that these parameters give."""
     follows = chain.reads_flanks and "flank" not in rows.signals
     follows |= chain.yield_function is not None and "yielded" not in rows.signals
     return chain.evaluate(theta, frozen_flanks(rows, chain, theta) if follows else rows.signals)
@@ -130,7 +130,7 @@ def residual(rows: Rows, chain: Chain, theta: Array, first: int = 0) -> tuple[Ar
 
 
 def moved(rows: Rows, chain: Chain, theta: Array, steps: Array) -> Array:
-    """What steps ``(P, k)`` do to the prediction ``(N, m, k)``, to first order."""
+    """Change of the prediction ``(N, m, k)`` by steps ``(P, k)``, to first order."""
     deviations = evaluate(rows, chain, theta)
     sensitivity = by_station(rows, deviations)[1]
     out = np.zeros((*sensitivity.shape[:2], steps.shape[1]))
@@ -140,7 +140,7 @@ def moved(rows: Rows, chain: Chain, theta: Array, steps: Array) -> Array:
 
 
 def by_station(rows: Rows, deviations: Deviations) -> tuple[Array, Array]:
-    """Measured less predicted ``(N, m)``, and what a deviation at each station does to the prediction ``(N, m, S)``.
+    """Measured less predicted ``(N, m)``, and the prediction's derivative by each station's deviation ``(N, m, S)``.
 
     Of a distance from the anchor a to the point p: the distance less the length of p - a, and u' dp with u the unit
     vector from a to p.

@@ -49,7 +49,7 @@ def dry_states(turned: Array, time: Array, run: Integers) -> Array:
     time
         ``(N,)``, s.
     run
-        ``(N,)``. At its start a run knows nothing of its motors' friction: all states are zero.
+        ``(N,)``. At the start of a run the friction is unknown: all states are zero.
     """
     first = np.r_[True, run[1:] != run[:-1]]
     elapsed = np.where(first, 0.0, np.maximum(np.diff(time, prepend=time[:1]), 0.0))

@@ -1,12 +1,12 @@
-"""Prewhitening of logs: how noise remembers itself, and the filter that takes that out, across rows that do not count.
+"""Prewhitening of logs: the autocorrelation of their noise, and its filter, across rows that do not count.
 
-The noise of a torque log is taken for autoregressive of order 12, over time: a log has speeds and accelerations over a
-window, and rows that are closer than half of it are taken together first, residual and columns alike (`Grouping`).
-Otherwise twelve rows of a log of 5 kHz are 2 ms, the filter makes its white noise of quicker changes than the design
-can have, and weighs the fit by those. A row is predicted from the latest twelve rows before
-it that count; between a move and the next, rows of rest and of acceleration do not, and the noise outlasts them. Where
-no row is missing that is the ordinary autoregressive filter. Unwhitened, ordinary tests fire on any clean log; with the
-filter begun anew after every gap, standard errors come out a tenth to a third too small.
+The noise of a torque log is modelled as autoregressive of order 12. Rows closer than half the window of speeds and
+accelerations are averaged first, residual and columns alike (`Grouping`). Otherwise twelve rows of a 5 kHz log would
+span 2 ms, and the filter would weigh the fit by changes faster than the design can follow. Each row is predicted from
+the latest twelve rows before it that count: rows of rest and of acceleration between two moves do not count, but the
+noise is correlated across them. Without missing rows this is the ordinary autoregressive filter. Unwhitened, ordinary
+tests give false alarms on any clean log; with a filter restarted after every gap, standard errors are a tenth to a
+third too small.
 Source: Brockwell & Davis, Time Series: Theory and Methods (1991), sections 5.1 (best linear predictors), 8.1 and 12.3
 (missing values); the same filter and decimation of both sides of the model: Khalil & Dombre, Modeling, Identification
 and Control of Robots (2002), chapter 12.
@@ -29,7 +29,7 @@ __all__ = ["LONGEST_LAG", "ORDER", "Grouping", "Predictors", "Whitener", "autoco
 ORDER = 12
 LONGEST_LAG = 64  # rows back that a prediction may look, so that windows of a log need to overlap by no more
 CACHED = 1 << 14  # numbers that are filtered at once: they should stay in the processor's cache
-ENOUGH_PAIRS = 100  # products of which a mean tells a correlation to a tenth
+ENOUGH_PAIRS = 100  # products whose mean determines a correlation to 0.1
 MOST_KINDS = 1 << 15  # of predictors that are kept
 WEIGHTS_SETTLED = 0.5  # of a standard error: noise that changes by less when it is learned again changes no weight
 LEAST = 1e-6  # of the variance, that a prediction leaves at least: torques are printed with finitely many digits
@@ -153,7 +153,7 @@ def autocorrelation(products: Array, pairs: Array) -> Array:
 
 
 def settled(ratio: float, before: Array, after: Array, count: float) -> bool:
-    """Whether noise that is learned again is what it was, but for half of what it is known to.
+    """Whether a new estimate of the noise equals the old one within half of its standard error.
 
     Parameters
     ----------

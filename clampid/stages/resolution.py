@@ -1,4 +1,4 @@
-"""How many rows of a torque log are sampled closely enough to show how the arm moves, so that they count."""
+"""The number of rows of a torque log that are sampled closely enough to resolve the motion, so that they count."""
 
 from __future__ import annotations
 

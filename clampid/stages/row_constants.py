@@ -1,4 +1,4 @@
-"""What rows need beside their signals, such as reference frames, the run that they are of, and where these begin."""
+"""Constants of rows beside their signals, such as reference frames, the run of each row, and its start."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ class SeriesConstants(RowConstants):
         ``(N,)``: the run or sweep, from 0.
     offset_keys
         ``(K, 2)``, (run or sweep, joint from 0): an unknown constant of that joint in that run, which no other run
-        shares; in sweeps (sweep, n + motor): the friction that a motor keeps while it is held.
+        shares; in sweeps (sweep, n + motor): the friction that a motor keeps while at rest.
     known_noise
-        ``(m,)``, SI: noise of each column as it is known without the model under test, inf where it is not; None: of
-        no column.
+        ``(m,)``, SI: noise of each column as known without the model under test, inf where unknown; None: unknown in
+        all columns.
     known_from
-        Where from: ``regression`` on rigid-body dynamics, or as the ``instrument``'s maker states it.
+        Source of that: ``regression`` on rigid-body dynamics, or the statement of the ``instrument``'s maker.
     """
 
     run: Integers = field(metadata=PER_ROW)
@@ -105,7 +105,7 @@ class SweepConstants(SeriesConstants):
     driven
         ``(N,)``: the joint that goes back and forth, from 0.
     wound
-        ``(N, n)``, rad: how far the joints are off the sweep's mean posture, by their motors.
+        ``(N, n)``, rad: joint angles from the motors, less the sweep's mean posture.
     reference
         ``(sweeps, n)``, rad: these postures.
     inverse_jacobian
@@ -116,7 +116,7 @@ class SweepConstants(SeriesConstants):
         ``(n,)``, Nm: rated torques of the joints.
     loop_compliance
         ``(n,)``, rad/Nm: of the motors' springs, by the slopes of the loops.
-    held_friction
+    loop_friction
         ``(n,)``, Nm: friction of each motor, by the heights of its loops.
     stood
         ``(sweeps, n)``: whether a motor stood still in the whole sweep.
@@ -131,7 +131,7 @@ class SweepConstants(SeriesConstants):
     start_torque: Array = field(metadata=PER_ROW)
     rated: Array
     loop_compliance: Array
-    held_friction: Array
+    loop_friction: Array
     stood: Bools
     kept_sign: Array
 

@@ -1,4 +1,4 @@
-"""Rows: what an experiment measured and under which signals, ready for the chain."""
+"""Rows: the measured numbers of an experiment with their signals, ready for the chain."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Rows:
     session
         ``(N,)``: index of the session.
     constants
-        What the rows need beside signals, such as reference frames.
+        Constants of the rows beside their signals, such as reference frames.
     """
 
     stage: Stage

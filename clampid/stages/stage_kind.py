@@ -1,7 +1,7 @@
-"""A stage as a value: what differs between kinds of rows is said here once, so that nothing else asks for its name.
+"""A stage as a value: all differences between kinds of rows are stated here once, so no other code asks for its name.
 
-Each file of :mod:`clampid.stages.kinds` holds one, ``STAGE``. It is found by the name that it has in
-:data:`clampid.standard_sets.STANDARD`; nothing else knows how many there are.
+Each file of :mod:`clampid.stages.kinds` holds one, ``STAGE``. It is found by its name in
+:data:`clampid.standard_sets.STANDARD`; no other code depends on the number of stages.
 """
 
 from __future__ import annotations
@@ -40,29 +40,29 @@ __all__ = [
 
 T = TypeVar("T")
 Trait = Literal["points", "moving", "solved", "resting"]
-"""By what the rest of the program tells stages apart: properties of :class:`StageKind`."""
+"""Properties of :class:`StageKind` by which the rest of the program distinguishes stages."""
 
 
 @dataclass(frozen=True)
 class StageWords:
-    """How texts speak of a stage.
+    """Words for a stage in texts.
 
     Attributes
     ----------
     title
-        Above its figures and tables.
+        Heading of its figures and tables.
     rows
         What its rows are, for a list of effects: "measured points".
     folds
-        What is held out as a whole, in the plural: "poses".
+        The unit of cross-validation, in the plural: "poses".
     moved
-        What a joint did to come to a row: "approached", "moved".
+        The verb for a joint's motion before a row: "approached", "moved".
     record
-        What to record so that effects with a side can be told: "the direction of approach".
+        What to record so that direction-dependent effects are identifiable: "the direction of approach".
     measurement
         The whole measurement, with its article: "a log of torques in free air".
     more
-        What more rows of it should be like, to part effects that these confuse.
+        Further rows that would distinguish effects that these rows confuse.
     """
 
     title: str
@@ -76,7 +76,7 @@ class StageWords:
 
 @dataclass(frozen=True)
 class Wanted:
-    """Which rows of a stage are wanted; each stage reads of it what matters to it.
+    """Which rows of a stage are wanted; each stage reads the fields that it needs.
 
     Attributes
     ----------
@@ -115,13 +115,13 @@ def derivative_of(residual: Residual) -> Callable[[Rows, Chain, Array, Array, in
 
 
 def moved_of(residual: Residual) -> Callable[[Rows, Chain, Array, Array, Array], Array]:
-    """What steps do to the prediction, of a stage that has no shorter way to it."""
+    """Change of the prediction by steps, of a stage that has no shorter way to it."""
     return lambda rows, chain, theta, offsets, steps: residual(rows, chain, theta, offsets)[1] @ steps
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageKind(StageChain):
-    """A stage: what is measured in it, how its rows are made, and what the chain predicts for them.
+    """A stage: its measurements, how its rows are made, and the chain's prediction for them.
 
     Attributes
     ----------
@@ -132,18 +132,18 @@ class StageKind(StageChain):
     error_unit
         ``m``: errors of rows are lengths of points' errors; ``sigma``: of single numbers in units of their noise.
     points
-        Rows are points of the arm, seen by an instrument whose place towards the base is unknown; a repeated posture
-        tells their noise. Then stand the arm's frames, loads and flanks in question.
+        Rows are points of the arm, seen by an instrument whose pose relative to the base is unknown. Their noise is
+        estimated from repeated postures; frames, loads and flanks are part of the model.
     verification
         Name of a table of the same columns that no fit reads; "" where there is none.
     side
-        Signal that says from which side a joint came to a row; None where every fold has both.
+        Signal of the side from which a joint came to a row; None where every fold has both.
     shared_channels
         The noise of which columns ``(m,)`` is one number; of a stage that has as many channels as motors, none is.
     offset_size
-        What an unknown constant of one run or sweep may reasonably amount to: rad in an equilibrium, else Nm.
+        Plausible size of an unknown constant of one run or sweep: rad in an equilibrium, else Nm.
     spring_start
-        Where fits begin with springs, in their sizes; None: at none.
+        Initial compliance of springs, in their sizes; None: zero.
     linear
         The prediction is linear in the stations' deviations, with the same derivative everywhere.
     rows
@@ -158,11 +158,11 @@ class StageKind(StageChain):
     moved
         ``(rows, chain, theta, offsets, steps)``: what steps ``(P + K, k)`` do to the prediction ``(N, m, k)``.
     frozen
-        ``(rows, chain, theta)``: the rows' signals with all that follows the parameters put where these have it; None
-        where nothing does.
+        ``(rows, chain, theta)``: the rows' signals with flanks and loads frozen at these parameters; None where no
+        signal follows the parameters.
     prior
-        ``(rows, first, precision, mean)``: the prior ``(P + K, P + K)``, ``(P + K,)`` with what is known of offsets,
-        which stand from ``first`` on; None where that is nothing.
+        ``(rows, first, precision, mean)``: the prior ``(P + K, P + K)``, ``(P + K,)`` including that of the offsets,
+        which start at ``first``; None where the offsets have none.
     """
 
     tables: tuple[str, ...]
@@ -227,7 +227,7 @@ def acts_with(effect: Effect, *traits: Trait) -> bool:
 
 
 def known_of(stages: Mapping[str, T], trait: Trait) -> T | None:
-    """What a mapping has of its first stage with a trait; None where it has no such stage."""
+    """A mapping's value for its first stage with a trait; None where it has no such stage."""
     return next((stages[kind.name] for kind in kinds() if kind.name in stages and getattr(kind, trait)), None)
 
 

@@ -1,8 +1,8 @@
 """What campaigns state beforehand, as whitened equations in the parameters of the pose stage.
 
-A statement is one or more measurements that no row has: b = A theta with errors of variance 1. They weigh as pseudo-
-rows of the prior (:meth:`clampid.stages.fit_problem.FitProblem.prior`) and separate parameters that the robot alone
-cannot (:mod:`clampid.fitting.gauge`): where the base is known, an offset of joint 1 is one of the robot.
+A statement is one or more measurements without a row: b = A theta with errors of variance 1. They are pseudo-rows of
+the prior (:meth:`clampid.stages.fit_problem.FitProblem.prior`) and make parameters identifiable that the rows alone do
+not separate (:mod:`clampid.fitting.gauge`): with a known base, an offset of joint 1 is an error of the robot.
 
 The base X = X_0 exp([w, v]) in the instrument's frame has, to first order, the position p_0 + R_0 v and the angles
 rpy_0 + G w, with G the inverse of the Jacobian of R = Rz·Ry·Rx. Source: Lynch and Park, Modern Robotics, 2017, app. B.
@@ -76,7 +76,7 @@ class Statement:
 def statements_of(
     campaigns: Sequence[Campaign], layout: Layout, references: Sequence[Array | None]
 ) -> tuple[Statement, ...]:
-    """All that the sessions state of base and targets.
+    """All statements of the sessions on base and targets.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How much of a log counts in a model without inertia: where that is little, the model needs the bodies' dynamics."""
+"""Share of a log that counts in a model without inertia; if it is small, the model needs the bodies' dynamics."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WEIGHED = 20_000
 def steady_share(parts: Sequence[LogPart], window: int = WINDOW) -> float:
     """The share, 0 to 1, of the motors' rows in motion that count without inertia; 1 for a session without logs.
 
-    Such a row is hardly accelerated, and what the bodies as described need there is little against the noise
+    Such a row is hardly accelerated, and the inertia torque of the described bodies is small compared with the noise
     (:func:`clampid.stages.counting.negligible`).
     """
     if not parts:

@@ -34,7 +34,7 @@ POSTURE = ("q", "joint_speed", "joint_acceleration")
 
 @dataclass(frozen=True)
 class TorqueKernel:
-    """Torques of one session's rows, and what the parameters change of them.
+    """Torques of one session's rows, and their derivative by the parameters.
 
     Attributes
     ----------

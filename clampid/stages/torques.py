@@ -33,8 +33,8 @@ from experiments.signals import segments, typical_step
 __all__ = ["error", "moved", "residual", "torque_rows"]
 
 BLOCK_S = 2.0  # rows this close in time share their noise and are flipped together
-BLOCKS = 200  # at least, where a log is short: fewer could not say what is one chance in a hundred
-BLOCK_ROWS = 24  # at least: twice as far as the noise is taken to remember itself
+BLOCKS = 200  # at least, where a log is short: fewer cannot resolve a chance of 1 %
+BLOCK_ROWS = 24  # at least: twice the order of the noise's autoregression
 
 
 def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array, first: int = 0) -> tuple[Array, Array]:
@@ -65,7 +65,7 @@ def error(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> Array:
 
 
 def moved(rows: Rows, chain: Chain, theta: Array, steps: Array) -> Array:
-    """What steps ``(P + K, k)`` do to the prediction ``(N, n, k)``, to first order."""
+    """Change of the prediction ``(N, n, k)`` by steps ``(P + K, k)``, to first order."""
     d, T, count = chain.evaluate(theta, rows.signals), np.asarray(rows.robot.transmission), len(chain.slots)
     by_station = np.zeros((len(rows), d.values.shape[1], steps.shape[1]))
     for a, run in chain.runs:
@@ -162,7 +162,7 @@ def _columns(table: LogTable, n: int) -> list[str]:
 
 
 def _motion_of(parts: Sequence[LogPart], facts: LogFacts) -> Motion:
-    """The motion of the whole log, of the same windows as a fit that does not hold it takes it."""
+    """The motion of the whole log, by the same windows as in a fit that reads the log by windows."""
     found = [
         facts.motions.of(p, w).of(slice(w.start, w.stop))
         for p, part in enumerate(parts)

@@ -99,7 +99,7 @@ def dh(
     _by_convention(loaded, out)
     _extrapolating(loaded, temperature, out)
     further = () if output is None else _after("dh", model, output, campaign, loaded.sessions[session - 1].name)
-    _tell("DH table", found, output, out, further)
+    _report("DH table", found, output, out, further)
 
 
 @export.command(short_help="Errors of joint angles over their ranges.")
@@ -157,7 +157,7 @@ def urdf(
         user_effects=effects_from,
     )
     _written(found.text, output)
-    _tell("URDF", found, output, out, _after("urdf", model, output, campaign, loaded.sessions[session - 1].name))
+    _report("URDF", found, output, out, _after("urdf", model, output, campaign, loaded.sessions[session - 1].name))
     _extrapolating(loaded, temperature, out)
 
 
@@ -257,7 +257,7 @@ def _read(folder: Path | None) -> Campaign | None:
     return None if folder is None else read_campaign(folder)
 
 
-def _tell(kind: str, found: Exported, output: Path | None, out: Output, further: tuple[Next, ...] = ()) -> None:
+def _report(kind: str, found: Exported, output: Path | None, out: Output, further: tuple[Next, ...] = ()) -> None:
     """What was written and what it leaves; in lines on stderr where the file itself went to stdout."""
     from clampid.verbs.export_screen import export_screen
 

@@ -52,10 +52,10 @@ def export_screen(kind: str, found: Exported, output: Path, next_steps: tuple[Ne
 def kuka_screen(found: KukaExport, temperature: float, output: Path, next_steps: tuple[Next, ...] = ()) -> Screen:
     """How much of the geometry machine data can hold, and the error of a controller that knows only them."""
     form, nominal = (error_text(error.position_rms, "m") for error in (found.left, found.nominal))
-    held = f"{form} rms that this form cannot hold; nominal machine data leave {nominal}"
+    unattained = f"{form} rms that this form cannot hold; nominal machine data leave {nominal}"
     return Screen(
         f"Wrote {output}: KUKA machine data at {temperature:g} °C, without what changes with load or time.",
-        facts=(("axes", held), *_left(found.whole, found.on_points)),
+        facts=(("axes", unattained), *_left(found.whole, found.on_points)),
         verdict=_alone("file", found.whole.error, found.on_points),
         more="Conditions and more digits are in the file. It was not tried on a controller.",
         next=next_steps,

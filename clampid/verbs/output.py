@@ -187,7 +187,7 @@ def _console(stderr: bool, silent: bool = False) -> Console:
     from rich.console import Console
 
     console, columns = Console(stderr=stderr, quiet=silent), os.environ.get("COLUMNS")
-    told = console.is_terminal if columns is None else _WIDTHS.fullmatch(columns)  # rich would take 0 for a width
-    if not told:
+    known = console.is_terminal if columns is None else _WIDTHS.fullmatch(columns)  # rich would take 0 for a width
+    if not known:
         console.width = WIDTH
     return console

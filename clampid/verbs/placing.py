@@ -80,7 +80,7 @@ def _show_both(name: str, found: Mapping[str, Any], out: Output) -> None:
         out.table(f"{name}: ISO 9283, mean over places", heads, rows)
         poses = _to({m["poses"] for _, m, _ in here})
         returns = _to({count for _, m, _ in here for count in m["returns"]})
-        held = max((m["poses"] for m, _ in model.values()), default=0)
+        count = max((m["poses"] for m, _ in model.values()), default=0)
         of = "held-out rows" if found["compensated_rows"] == "held out" else "all rows, fitted ones among them"
         minutes = robot["position"]["span_s"] / 60
         out.say(
@@ -88,8 +88,8 @@ def _show_both(name: str, found: Mapping[str, Any], out: Output) -> None:
             f"up to {minutes:.3g} min"
         )
         out.say(
-            f"{name}: robot: {MEASURED}; compensated: with this model, {of} ({held} poses); angles: of the worst axis; "
-            f"scatter: {ALONE}"
+            f"{name}: robot: {MEASURED}; compensated: with this model, {of} ({count} poses); "
+            f"angles: of the worst axis; scatter: {ALONE}"
         )
     _show_thirty(name, robot, out)
     _show_missing(name, robot, out)

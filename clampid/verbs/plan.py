@@ -144,7 +144,7 @@ def clamping(
         stiffness, usual = stiffness_of(cell.robot, rated)
         share = np.array(numbers_of("--amplitude", amplitude) or ())
         share = np.full(cell.robot.n, share[0]) if len(share) == 1 else share
-        held = press_limits(limits, rated, torque=max_torque, force=max_force, moment=max_moment)
+        bounds = press_limits(limits, rated, torque=max_torque, force=max_force, moment=max_moment)
         press = Press(share, rated, stiffness, margin, dwell, clamping_time)
         with out.working("choosing sweeps"):
             wished = ClampingWishes(
@@ -152,7 +152,7 @@ def clamping(
                 postures=_postures(posture, cell.robot.n, where.units), seed=seed,
             )  # fmt: skip
             made = plan_clamping(
-                cell, held, noise, press, wished, scene=where.scene(cell), assumed=(*assumed, *more, *usual),
+                cell, bounds, noise, press, wished, scene=where.scene(cell), assumed=(*assumed, *more, *usual),
             )  # fmt: skip
         if least_torque:
             made = replace(made, least_torque=search_for(cell.robot, press))

@@ -47,9 +47,9 @@ def friction_findings(campaign: Campaign, logs: Mapping[str, MovingLog]) -> Iter
     names = joint_columns("tau{}_Nm", robot.n)
     for table, log in logs.items():
         turning = log.qd @ np.linalg.inv(robot.transmission)
-        held = _held(campaign, log)
+        others = _other_torques(campaign, log)
         for m in range(robot.n):
-            drag, error = _drag(log, held[m], m, turning[:, m])
+            drag, error = _drag(log, others[m], m, turning[:, m])
             if drag < -student.isf(FALSE_ALARMS, MOVES - 1) * error:
                 message = (
                     f"friction of motor {m + 1} drives it: {drag:.2g} ± {error:.1g} Nm against the motion, more than 0 "
@@ -58,7 +58,7 @@ def friction_findings(campaign: Campaign, logs: Mapping[str, MovingLog]) -> Iter
                 yield Finding("warning", table, names[m], None, message)
 
 
-def _held(campaign: Campaign, log: MovingLog) -> list[Array]:
+def _other_torques(campaign: Campaign, log: MovingLog) -> list[Array]:
     """Regressors ``(N, k)`` of each motor's torque besides friction."""
     T = np.asarray(campaign.robot.transmission)
     weight = T @ weight_regressor(campaign, log.q) if np.any(campaign.gravity) else np.zeros((len(log.q), len(T), 0))
@@ -71,10 +71,10 @@ def _rubbing(speed: Array) -> Array:
     return np.column_stack([np.sign(speed), speed])
 
 
-def _drag(log: MovingLog, held: Array, motor: int, speed: Array) -> tuple[float, float]:
+def _drag(log: MovingLog, others: Array, motor: int, speed: Array) -> tuple[float, float]:
     """Torque against the motion at the median speed, Nm, and its standard error by moves; (0, 1) if not determined."""
     used, move = clear_moves(speed, log.run)
-    found = _estimated(log, held, motor, used, move, _rubbing(speed))
+    found = _estimated(log, others, motor, used, move, _rubbing(speed))
     if found is None:
         return 0.0, 1.0
     at = np.array([1.0, float(np.median(np.abs(speed[used])))])
@@ -82,13 +82,13 @@ def _drag(log: MovingLog, held: Array, motor: int, speed: Array) -> tuple[float,
 
 
 def _estimated(
-    log: MovingLog, held: Array, motor: int, used: Bools, move: Integers, columns: Array
+    log: MovingLog, others: Array, motor: int, used: Bools, move: Integers, columns: Array
 ) -> tuple[Array, Array] | None:
     """Factors ``(p,)`` of columns ``(N, p)`` in a motor's torque, and their covariance by moves; None if open."""
     moves, member = np.unique(move[used], return_inverse=True)
-    if len(moves) < MOVES or used.sum() < 3 * (held.shape[1] + columns.shape[1]):
+    if len(moves) < MOVES or used.sum() < 3 * (others.shape[1] + columns.shape[1]):
         return None
-    free = freed(held[used], np.column_stack([columns[used], log.tau[used, motor]]))
+    free = freed(others[used], np.column_stack([columns[used], log.tau[used, motor]]))
     X, y = free[:, :-1], free[:, -1]
     if np.any(np.sum(X**2, axis=0) < LEFT * np.sum(columns[used] ** 2, axis=0)):
         return None

@@ -34,7 +34,7 @@ class StateChannel:
     ----------
     host, port
         Of the state channel.
-    told
+    notify
         Called with each status, from this channel's thread.
     tick
         Called each period, from this channel's thread.
@@ -46,11 +46,11 @@ class StateChannel:
         self,
         host: str,
         port: int,
-        told: Callable[[Status], None],
+        notify: Callable[[Status], None],
         tick: Callable[[], None],
         period: float = 0.02,
     ) -> None:
-        self._where, self._told, self._tick, self._period = (host, port), told, tick, period
+        self._where, self._notify, self._tick, self._period = (host, port), notify, tick, period
         self._lock = threading.Lock()  # of sending: held for as long as a send that does not wait
         self._answered = threading.Condition()
         self._connection: Connection | None = None
@@ -248,7 +248,7 @@ class StateChannel:
             if number in self._awaited:
                 self._awaited[number] = values
             self._answered.notify_all()
-        self._told(status)
+        self._notify(status)
 
 
 def status_of(values: Values) -> Status:

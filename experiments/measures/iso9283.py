@@ -161,8 +161,8 @@ def pose_metrics(
     time
         ``(n,)`` s.
     """
-    told = bool((side >= 0).any())
-    places = _places(place, pose, side if told else np.zeros_like(side), time)
+    sided = bool((side >= 0).any())
+    places = _places(place, pose, side if sided else np.zeros_like(side), time)
     groups = [group for one in places for group in one.sides if len(group) > 1]
     spread = _pooled(error, groups)
     values: dict[str, list[tuple[int, int, Array]]] = {}
@@ -182,7 +182,7 @@ def pose_metrics(
     metrics = {name: _metric(values[name], alone.get(name), name, kind) for name in MEANING if name in values}
     return PoseMetrics(
         metrics,
-        {name: reason for name in MEANING if name not in metrics and (reason := _why_not(name, places, told))},
+        {name: reason for name in MEANING if name not in metrics and (reason := _why_not(name, places, sided))},
         None if spread is None else _of_thirty(spread, _freedom(places), kind),
         max((float(np.ptp(time[group])) for group in groups), default=0.0),
     )
@@ -256,11 +256,11 @@ def _metric(values: list[tuple[int, int, Array]], alone: list[float] | None, nam
     )  # fmt: skip
 
 
-def _why_not(name: str, places: Sequence[_Place], told: bool) -> str:
+def _why_not(name: str, places: Sequence[_Place], sided: bool) -> str:
     if all(sum(len(s) for s in one.sides) < 2 for one in places):
         return "no pose was visited twice"
     if name in ("vAP", "RP_bidirectional"):
-        if not told:
+        if not sided:
             return "the table does not say from which side poses were approached"
         return "no pose was visited from two sides"
     return f"no pose was visited {'four times' if name == 'dRP' else 'twice'} from the same side"

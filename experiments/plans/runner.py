@@ -54,7 +54,7 @@ def run_plan(
     Parameters
     ----------
     plan
-        What to do; it is held against its own limits once more.
+        What to do; it is checked against its own limits once more.
     robot
         Who does it.
     folder
@@ -136,9 +136,9 @@ def _steps(plan: Plan, robot: RobotSeam, stop: Stop) -> Iterator[Step]:
     """Every step of a plan, in order; nothing is done until it is called."""
     for number, run in enumerate(plan.runs, 1):
         yield f"run {number}", table_of(plan.kind)[0], partial(_log, robot, run, plan.rate, number)
-    held = _Clamp(plan, robot, stop)
+    clamp = _Clamp(plan, robot, stop)
     for number, sweep in enumerate(plan.sweeps, 1):
-        yield f"sweep {number}", "clamped", partial(held.sweep, sweep, number)
+        yield f"sweep {number}", "clamped", partial(clamp.sweep, sweep, number)
     before = plan.start
     for visit in plan.visits:
         what = f"pose {visit.pose}, visit {visit.visit} ({visit.table})"
@@ -165,7 +165,7 @@ def _first(frame: pd.DataFrame, **numbers: int) -> pd.DataFrame:
 
 
 class _Clamp:
-    """Sweeps of a clamped robot; every reading is held against the limits before the next step is taken."""
+    """Sweeps of a clamped robot; every reading is checked against the limits before the next step is taken."""
 
     def __init__(self, plan: Plan, robot: RobotSeam, stop: Stop) -> None:
         self.plan, self.robot, self.stop = plan, robot, stop

@@ -21,7 +21,7 @@ class ClampState:
         Which place the flange is clamped in; 0: it is free.
     boot
         Of the controller, when it was clamped.
-    held
+    holding_torque
         Torques of the free arm where it was clamped ``(n,)``, Nm, if they were measured.
     reference
         Where the torque is least ``(n,)``, rad, once that has been found in this clamping.
@@ -32,7 +32,7 @@ class ClampState:
     done: set[int] = field(default_factory=set)
     clamping: int = 0
     boot: int | None = None
-    held: list[float] | None = None
+    holding_torque: list[float] | None = None
     reference: list[float] | None = None
     current: int | None = None
     step: int = 0
@@ -44,13 +44,13 @@ def clamp_state(entries: Sequence[Mapping[str, Any]]) -> ClampState:
     for entry in entries:
         match entry["what"]:
             case "held":
-                state.held = entry["torque"]
+                state.holding_torque = entry["torque"]
             case "least_torque":
                 state.reference = entry["posture"]
             case "clamped":
                 state.clamping, state.boot = entry["clamping"], entry["boot"]
             case "released":
-                state.clamping, state.held, state.reference = 0, None, None
+                state.clamping, state.holding_torque, state.reference = 0, None, None
             case "row":
                 state.current, state.step = entry["key"][1], entry["key"][2]
             case "swept" | "cut":

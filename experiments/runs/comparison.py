@@ -50,11 +50,11 @@ def compared_places(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Iterato
             continue
         means = {place: _mean(values) for place, values in places.items()}
         (_, low), (_, high) = (f(means.items(), key=lambda item: item[1][0]) for f in (min, max))
-        told = ", ".join(f"{v:.2f} ± {e:.2f} Nm/rad in place {place}" for place, (v, e) in sorted(means.items()))
+        stiffnesses = ", ".join(f"{v:.2f} ± {e:.2f} Nm/rad in place {place}" for place, (v, e) in sorted(means.items()))
         apart = high[0] - low[0]
         differs = apart > DIFFERENT * np.hypot(low[1], high[1]) and apart > AT_LEAST * high[0]
         verdict = "the block yields in the softer place" if differs else "the same"
-        yield f"Stiffness of joint {joint} at its motor: {told}: {verdict}."
+        yield f"Stiffness of joint {joint} at its motor: {stiffnesses}: {verdict}."
 
 
 def _both_ways(motor: Array, torque: Array, offset: Array) -> tuple[float, float] | None:

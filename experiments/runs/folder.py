@@ -94,12 +94,12 @@ def check_folder_for(plan: Plan, folder: Path) -> Campaign | None:
     if not (folder / HEADER_FILE).is_file():
         raise PlanError(f"{folder}: expected a new or empty folder, or a campaign, found something else")
     try:
-        held = toml_of(read_text(folder / HEADER_FILE))
+        header = toml_of(read_text(folder / HEADER_FILE))
     except (OSError, ValueError) as error:  # TOML that is none, or bytes that are no UTF-8, are ValueErrors
         raise PlanError(f"{folder / HEADER_FILE}: expected a campaign's TOML, found none: {error}") from None
     for key, wanted in header_of(plan.cell, folder).items():
-        if key in held and held[key] != wanted:
-            raise PlanError(f"{folder}: expected a campaign of the plan's cell: {key} {wanted}, found {held[key]}")
+        if key in header and header[key] != wanted:
+            raise PlanError(f"{folder}: expected a campaign of the plan's cell: {key} {wanted}, found {header[key]}")
     campaign = read_campaign(folder)
     for name in (*table_of(plan.kind), *(("distances",) if plan.kind == "poses" else ())):
         if name in campaign.tables:
@@ -145,9 +145,9 @@ def is_in(entries: Iterable[Mapping[str, Any]], folder: Path) -> bool:
     """Whether the folder holds a journal's tables already: the run was killed between writing it and tidying up."""
     if not (folder / HEADER_FILE).is_file():
         return False
-    held = read_campaign(folder).tables
+    tables = read_campaign(folder).tables
     new = tables_of(entries)
     return bool(new) and all(
-        name in held and len(held[name]) == len(frame) and np.array_equal(held[name]["time_s"], frame["time_s"])
+        name in tables and len(tables[name]) == len(frame) and np.array_equal(tables[name]["time_s"], frame["time_s"])
         for name, frame in new.items()
     )

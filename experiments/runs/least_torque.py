@@ -66,7 +66,7 @@ def least_torque_posture(context: Context, sweep: Sweep, search: LeastTorque, st
         A reading is beyond a limit of the plan, or the least torque is not within the search's bounds; the robot went
         back to where the clamp was closed, and the clamp was opened.
     """
-    held = np.array(state.held)
+    holding = np.array(state.holding_torque)
     here = _nearest(context.robot.rest().joints, sweep.posture, search)
     watch = Watch.of(context.plan, sweep)
     first, off = (np.full(len(here), np.nan) for _ in range(2))  # of each joint's own motor; others keep their friction
@@ -75,7 +75,7 @@ def least_torque_posture(context: Context, sweep: Sweep, search: LeastTorque, st
         for joint in range(len(here)):
             for _ in range(2 * round(float(search.within[joint] / search.step[joint])) + 1):
                 torque = _from_both_sides(context, sweep, search, here, joint, watch)
-                off[joint] = torque[joint] - held[joint]
+                off[joint] = torque[joint] - holding[joint]
                 first[joint] = off[joint] if np.isnan(first[joint]) else first[joint]
                 way = _way(context, joint, off) / search.step[joint]
                 if abs(way) < 0.5:

@@ -111,7 +111,8 @@ def _clamp(context: Context, sweep: Sweep, name: str, state: ClampState) -> None
     context.person.clamp(f"{name}: the flange is to be clamped (place {sweep.clamping}).")
     context.journal.add("clamped", clamping=sweep.clamping, boot=status.boot, at=status.joints.tolist())
     fresh = clamp_state(context.journal.entries)
-    state.clamping, state.boot, state.held, state.reference = fresh.clamping, fresh.boot, fresh.held, fresh.reference
+    state.clamping, state.boot = fresh.clamping, fresh.boot
+    state.holding_torque, state.reference = fresh.holding_torque, fresh.reference
 
 
 def _release(context: Context) -> None:

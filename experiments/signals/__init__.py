@@ -7,7 +7,7 @@ from experiments.signals.clock import Gap, gaps, irregularity, segments, stale_r
 from experiments.signals.definite import solve_definite
 from experiments.signals.derivatives import acceleration, accelerations, differentiate, low_pass, speeds
 from experiments.signals.misfit import misfit
-from experiments.signals.motion import held_sign, rest_threshold, speed_counts, threshold_of_counts
+from experiments.signals.motion import carried_sign, rest_threshold, speed_counts, threshold_of_counts
 from experiments.signals.polynomial import smallest_half
 from experiments.signals.selection import medians
 from experiments.signals.shift import Shift, combine_shifts, time_shift
@@ -19,11 +19,11 @@ __all__ = [
     "Shift",
     "acceleration",
     "accelerations",
+    "carried_sign",
     "choose_window",
     "combine_shifts",
     "differentiate",
     "gaps",
-    "held_sign",
     "irregularity",
     "low_pass",
     "medians",

@@ -6,7 +6,7 @@ import numpy as np
 
 from experiments.signals.typing_ import Array, Integers
 
-__all__ = ["held_sign", "rest_threshold", "speed_counts", "threshold_of_counts"]
+__all__ = ["carried_sign", "rest_threshold", "speed_counts", "threshold_of_counts"]
 
 _DROPPED_BITS = 44  # of a float64's 52 of mantissa: 256 bins an octave
 _LOWEST = (1023 - 40) << 8  # the bin of 2^-40
@@ -99,7 +99,7 @@ def _order_statistic(below: Integers, edges: Array, rank: float) -> float:
     return float(edges[int(np.searchsorted(below, rank))]) if rank > 0 else 0.0
 
 
-def held_sign(speed: Array, threshold: Array, run: Integers, position: Array, time: Array) -> Array:
+def carried_sign(speed: Array, threshold: Array, run: Integers, position: Array, time: Array) -> Array:
     """Sign of the present or, at rest, of the last motion in the run ``(N, n)``; 0 before the first.
 
     A smoothed speed overshoots at the begin and end of a motion and has the wrong sign there for a few rows. In a log

@@ -61,9 +61,9 @@ class Journal:
             found = json.loads(_text(truth))
         except (OSError, ValueError, RecursionError) as error:
             raise ControllerError(f"{truth}: expected the truth of a virtual robot, found none: {error}") from None
-        told = {key: found.get(key) if isinstance(found, dict) else None for key in self._individual}
-        if told != self._individual:
-            raise ControllerError(f"{truth}: expected the truth of {self._individual}, found that of {told}")
+        individual = {key: found.get(key) if isinstance(found, dict) else None for key in self._individual}
+        if individual != self._individual:
+            raise ControllerError(f"{truth}: expected the truth of {self._individual}, found that of {individual}")
         for event in read_events(truth):
             self.boot = max(self.boot, event["boot"] + 1)
             self.posture = event.get("at", self.posture)
@@ -73,8 +73,8 @@ class Journal:
         if self._truth is None:
             return
         file = journal_file(self._truth)
-        told = self._individual | {"hidden": list(hidden), **more, "journal": file.name}
-        write_text(self._truth, json.dumps(told, indent=1) + "\n")
+        individual = self._individual | {"hidden": list(hidden), **more, "journal": file.name}
+        write_text(self._truth, json.dumps(individual, indent=1) + "\n")
         self._descriptor = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         if file.stat().st_size and not file.read_bytes().endswith(b"\n"):
             os.write(self._descriptor, b"\n")  # a line that a full disk cut

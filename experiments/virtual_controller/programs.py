@@ -46,7 +46,7 @@ class Collected:
     points: list[Point] = field(default_factory=list)
 
 
-Tell = Callable[[Mapping[str, Any]], None]
+Notify = Callable[[Mapping[str, Any]], None]
 
 
 class Controller:
@@ -64,9 +64,9 @@ class Controller:
         Gets every event as it happens: ``event``, ``boot``, ``id``, ``point``, ``reason`` and what belongs to it.
     """
 
-    def __init__(self, arm: Arm, clock: Clock, *, boot: int = 1, tell: Tell = lambda event: None) -> None:
+    def __init__(self, arm: Arm, clock: Clock, *, boot: int = 1, notify: Notify = lambda event: None) -> None:
         self.arm, self.clock = arm, clock
-        self._tell = tell
+        self._notify = notify
         self.mode, self.drives, self.estop = Mode.EXT, True, False
         self.override = 100.0  # %, $OV_PRO
         self._start(boot)
@@ -272,7 +272,7 @@ class Controller:
             self.arm.clamp(now)
         else:
             self.arm.release(now)
-        self._tell({"event": "clamped" if closed else "released", "boot": self.boot, "time": now})
+        self._notify({"event": "clamped" if closed else "released", "boot": self.boot, "time": now})
 
     def slip(self, shift: Sequence[float]) -> None:
         """Let the block that holds the flange slip, m along the base's axes.
@@ -284,13 +284,13 @@ class Controller:
         """
         self.due()
         self.arm.slip(self.clock.now(), shift)
-        self._tell({"event": "slipped", "boot": self.boot, "time": self.clock.now(), "shift_m": list(shift)})
+        self._notify({"event": "slipped", "boot": self.boot, "time": self.clock.now(), "shift_m": list(shift)})
 
     def rock(self, tilt: Sequence[float]) -> None:
         """Let the block that holds the flange rock from now on, m along the base's axes; raises as `slip`."""
         self.due()
         self.arm.rock(self.clock.now(), tilt)
-        self._tell({"event": "rocks", "boot": self.boot, "time": self.clock.now(), "tilt_m": list(tilt)})
+        self._notify({"event": "rocks", "boot": self.boot, "time": self.clock.now(), "tilt_m": list(tilt)})
 
     def restart(self) -> None:
         """Start the controller's programs anew: the robot brakes, the boot number rises, numbers begin again."""
@@ -345,7 +345,7 @@ class Controller:
 
     def _say(self, event: Event, number: int, point: int = 0, reason: Reason = Reason.NONE, **more: Any) -> None:
         more.setdefault("time", self.clock.now())
-        self._tell({"event": event, "boot": self.boot, "id": number, "point": point, "reason": reason, **more})
+        self._notify({"event": event, "boot": self.boot, "id": number, "point": point, "reason": reason, **more})
 
 
 def _sample(place: int, sample: Sample | None) -> dict[str, Value]:

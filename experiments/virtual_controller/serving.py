@@ -80,7 +80,7 @@ class VirtualRobot:
 
     def __init__(self, arm: Arm, clock: Clock, configs: tuple[Config, Config], journal: Journal) -> None:
         self.clock, self.journal = clock, journal
-        self.controller = Controller(arm, clock, boot=journal.boot, tell=self._tell)
+        self.controller = Controller(arm, clock, boot=journal.boot, notify=self._notify)
         for config, wanted in zip(configs, (MOTION_TAGS, STATE_TAGS), strict=True):
             if missing := wanted - {tag.path for tag in config.receive}:
                 raise ControllerError(f"{config.name}: expected RECEIVE elements {', '.join(sorted(missing))}")
@@ -168,7 +168,7 @@ class VirtualRobot:
     def _motion_closed(self) -> None:
         self.controller.motion_closed()
 
-    def _tell(self, event: Mapping[str, Any]) -> None:
+    def _notify(self, event: Mapping[str, Any]) -> None:
         """Report an event of the programs: first on the disk, then to the client."""
         if not self._kept(event) or "restart" in event or not isinstance(event["event"], Event):
             return

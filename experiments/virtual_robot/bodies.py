@@ -54,8 +54,8 @@ class Bodies:
     def gravity(self, q: Array) -> Array:
         """Return the torques that hold the arm still, +dV/dq, Nm, (N, n), at joint angles q, rad, (N, n)."""
         chain = q @ self._linkage.T
-        held = self._each(lambda a: pin.computeGeneralizedGravity(self._model, self._data, a), chain)
-        return np.asarray(held @ self._linkage, dtype=float)
+        torque = self._each(lambda a: pin.computeGeneralizedGravity(self._model, self._data, a), chain)
+        return np.asarray(torque @ self._linkage, dtype=float)
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the joint torques of a motion, Nm, (N, n): gravity, inertia and what goes with speed squared."""

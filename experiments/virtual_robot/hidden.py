@@ -75,9 +75,9 @@ def hide(
     What an effect draws, and its size, depend on its name and place only, not on what else is hidden.
     """
     plant = baseline
-    told: list[dict[str, Any]] = []
+    recorded: list[dict[str, Any]] = []
     if not hidden:
-        return plant, told
+        return plant, recorded
     sight = Sight(site, baseline)
     for item in hidden:
         kind = KINDS[item.effect]
@@ -88,8 +88,8 @@ def hide(
         if item.magnitude and not seen:
             raise ValueError(f"{item.effect}@{where}: leaves no trace on {site.robot.name!r} as it is described")
         plant = new
-        told.append({"effect": item.effect, "where": where, "parameters": parameters})
-    return plant, told
+        recorded.append({"effect": item.effect, "where": where, "parameters": parameters})
+    return plant, recorded
 
 
 def _place(kind: Kind, item: Hidden, plant: Plant, rng: np.random.Generator) -> tuple[str, int]:

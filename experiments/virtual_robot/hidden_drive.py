@@ -115,8 +115,8 @@ def _with_discs(plant: Plant, m: float, s: Sight, rng: np.random.Generator, kind
         return replace(p, drive=replace(p.drive, disc=discs, disc_turn=turn, disc_sense=sense))
 
     rms = m * SMALL_TURN * s.factor(lambda p: faulty(p, SMALL_TURN))
-    told = {"marks_rms_rad": rms, **{f"turn{j + 1}_rad": float(turn[j]) for j in range(n)}}
-    return faulty(plant, rms), told | {f"sense{j + 1}_1": float(sense[j]) for j in range(n)}
+    recorded = {"marks_rms_rad": rms, **{f"turn{j + 1}_rad": float(turn[j]) for j in range(n)}}
+    return faulty(plant, rms), recorded | {f"sense{j + 1}_1": float(sense[j]) for j in range(n)}
 
 
 def hide_ratio(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:

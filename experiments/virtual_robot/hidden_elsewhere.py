@@ -57,8 +57,8 @@ def hide_slip(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator
     shift = m * np.array([1.5e-4] * 3 + [2e-4] * 3) * rng.choice([-1.0, 1.0], 6) * rng.uniform(0.6, 1.4, 6)
     at = float(rng.integers(6) * 180.0 + rng.uniform(50.0, 110.0))  # a sweep takes 160 s, and 20 s pass to the next
     names = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-    told = named(names, shift) | {"at_s": at}
-    return replace(plant, fixture=replace(plant.fixture, shift=plant.fixture.shift + shift, slips_at=at)), told
+    recorded = named(names, shift) | {"at_s": at}
+    return replace(plant, fixture=replace(plant.fixture, shift=plant.fixture.shift + shift, slips_at=at)), recorded
 
 
 def hide_expansion(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:

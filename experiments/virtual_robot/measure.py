@@ -141,7 +141,7 @@ def measure(
         for kind, seq in (("program", seeds.program), ("noise", seeds.noise), ("outliers", seeds.spoil))
     }
     baseline = alter(draw_plant(robot, np.random.default_rng(seeds.plant)))
-    plant, told = hide(site, baseline, hidden, seeds.hidden)
+    plant, recorded = hide(site, baseline, hidden, seeds.hidden)
     baseline, plant = (set_up_anew(robot, each, seeds.place) for each in (baseline, plant))
     logged = _torques(site, baseline, plant, wanted, streams) | _poses(site, plant, wanted, poses, streams)
     frames = {name: logged[name].table for name in wanted}
@@ -150,7 +150,7 @@ def measure(
         share = 0.0 if name == "verification" else outliers
         frames[name], spoilt[name] = spoil(frames[name], share, streams["outliers"][name])
     truth = Truth(plant, baseline, {name: logged[name].noise_free for name in wanted}, spoilt)
-    return Measured(frames, _header(robot, plant, "distances" in wanted), told, truth)
+    return Measured(frames, _header(robot, plant, "distances" in wanted), recorded, truth)
 
 
 def _tables(site: Site, tables: Sequence[str] | None) -> tuple[str, ...]:

@@ -3,7 +3,7 @@ The bodies of a world: the arm's links as capsules, what its flange carries, obs
 
 Neighbouring links meet at the joint between them: what they may do to each other is what joint limits are for. Links
 that touch in most of all postures are neighbours too: they are drawn so (a description's points lie anywhere on the
-axes), not built so. What the flange carries is no link. It is held against every link but the one that carries it, and
+axes), not built so. What the flange carries is no link. It is checked against every link but its own carrier, and
 where the capsule of the forearm, whose round end is a guess, would reach into it at any posture of the wrist, that end
 is cut back.
 """
@@ -238,7 +238,7 @@ def carries(obstacle: Shape, base: Shape, clearance: float) -> bool:
     return distance_of(obstacle.geometry, obstacle.at(still), foot, replace(base, pose=still).at(still)) <= clearance
 
 
-def _cut(robot: RobotDescription, link: Shape, held: Shape, length: float, clearance: float) -> Shape | None:
+def _cut(robot: RobotDescription, link: Shape, carried: Shape, length: float, clearance: float) -> Shape | None:
     """
     A link's capsule with its outer end cut back until what the flange carries is clear of it at a posture of the wrist.
 
@@ -248,13 +248,13 @@ def _cut(robot: RobotDescription, link: Shape, held: Shape, length: float, clear
     turned = np.array(list(product(QUARTERS, repeat=n - link.link)))
     turned = np.where([joint.kind == "prismatic" for joint in robot.joints[link.link :]], 0.0, turned)
     q = np.hstack([np.zeros((len(turned), link.link)), turned])
-    places = [held.at(G[held.link]) for G in joint_transforms(robot.screws, q)]
+    places = [carried.at(G[carried.link]) for G in joint_transforms(robot.screws, q)]
     shift = np.eye(4)
     for back in np.arange(0.0, length, CUT * link.radius):
         shift[2, 3] = -0.5 * back
         shape = replace(link, geometry=coal.Capsule(link.radius, length - back), pose=link.pose @ shift)
         here = shape.at(np.eye(4))
-        if max(distance_of(shape.geometry, here, held.geometry, at) for at in places) > clearance:
+        if max(distance_of(shape.geometry, here, carried.geometry, at) for at in places) > clearance:
             return shape
     return None
 

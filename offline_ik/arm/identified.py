@@ -147,7 +147,7 @@ class IdentifiedArm:
         position, rotation
             ``(3,)`` m and ``(3, 3)``.
         jacobian
-            ``(6, n)``: d (position, rotation vector) / d q of the arm with its deviations held; the loads' change with
+            ``(6, n)``: d (position, rotation vector) / d q of the arm with its deviations fixed; the loads' change with
             the posture, a thousandth of it, is left out.
         pressing
             ``(n,)``, Nm: its sign is the flank on which each joint stands; None if no effect reads flanks.
@@ -186,8 +186,11 @@ class IdentifiedArm:
         free = list(ca.symvar(ca.veccat(theta)))
         function = ca.Function("deviations", [ca.vertcat(*free), *row.flats.values()], [ca.densify(v) for v in outputs])
         loads = Loads(self.robot, self.gravity, self.tool, q)
-        held = {"flank": ca.SX.zeros(self.n), "sag_torque": ca.SX.zeros(self.n)}  # of these what presses is independent
-        signals = held | {name: self._signal(name, q, conditions, loads) for name in row.flats if name not in held}
+        fixed = {
+            "flank": ca.SX.zeros(self.n),
+            "sag_torque": ca.SX.zeros(self.n),
+        }  # of these what presses is independent
+        signals = fixed | {name: self._signal(name, q, conditions, loads) for name in row.flats if name not in fixed}
 
         def evaluated() -> Any:
             return function.call([ca.vertcat(*free), *(signals[name] for name in row.flats)])

@@ -186,13 +186,13 @@ class DetectorRobot(StandardReadable):
         """Read where the robot is."""
         if self._mocked:
             return
-        told = await self.combined.robot()
+        reply = await self.combined.robot()
         for axis, name in AXES.items():
-            self.axes[axis].set_readback(told["at"][name] * self.scale[axis])
-            await self.axes[axis].setpoint.set(told["setpoint"][name] * self.scale[axis])
-            std = told["at"][f"{name.removesuffix('_rad').removesuffix('_m')}_std_{name.rsplit('_', 1)[1]}"]
+            self.axes[axis].set_readback(reply["at"][name] * self.scale[axis])
+            await self.axes[axis].setpoint.set(reply["setpoint"][name] * self.scale[axis])
+            std = reply["at"][f"{name.removesuffix('_rad').removesuffix('_m')}_std_{name.rsplit('_', 1)[1]}"]
             self._set_std[axis](math.nan if std is None else std * self.scale[axis])
-        self._set_moving(told["moving"])
+        self._set_moving(reply["moving"])
 
     async def follow(self, motion: asyncio.Future[Any]) -> None:
         """Show where the robot is until a motion has ended.

@@ -29,9 +29,9 @@ class MotionError(RefusedError):
     """A motion began and did not arrive: it was stopped, failed, or its end is not known."""
 
 
-def why_refused(told: Mapping[str, Any]) -> str:
+def why_refused(reply: Mapping[str, Any]) -> str:
     """Why a `move` or `simulate` was refused, of its answer."""
-    reasons = told.get("reasons") or told.get("path", {}).get("reasons") or ["not reachable"]
+    reasons = reply.get("reasons") or reply.get("path", {}).get("reasons") or ["not reachable"]
     return "; ".join(reasons)
 
 
@@ -123,12 +123,12 @@ class Combined:
         target = {axis: batch.wanted.get(axis, base[name]) for axis, name in AXES.items()}
         if batch.dropped:
             raise MotionError("stopped before it began")
-        told = await self._moves.move(gamma=target["gamma"], delta=target["delta"], r=target["radius"])
-        if not told["moving"]:
-            raise RefusedError(why_refused(told))
+        reply = await self._moves.move(gamma=target["gamma"], delta=target["delta"], r=target["radius"])
+        if not reply["moving"]:
+            raise RefusedError(why_refused(reply))
         self.motions += 1
         batch.decided.set()
-        moved = await self._moves.ask("moved", timeout=LONGEST_MOTION, number=told["number"])
+        moved = await self._moves.ask("moved", timeout=LONGEST_MOTION, number=reply["number"])
         ended = moved["ended"] or {"outcome": "unknown", "reason": f"not ended within {LONGEST_MOTION:g} s"}
         if ended["outcome"] != "arrived":
             raise MotionError(": ".join(filter(None, (ended["outcome"], ended["reason"]))))
@@ -148,10 +148,10 @@ class Combined:
         """
         base = (await self.questions.ask("robot"))["setpoint"]
         target = {axis: wanted.get(axis, base[name]) for axis, name in AXES.items()}
-        told = await self.questions.ask("simulate", gamma=target["gamma"], delta=target["delta"], r=target["radius"])
-        if not told.get("would_move"):
-            raise RefusedError(why_refused(told))
-        return told
+        reply = await self.questions.ask("simulate", gamma=target["gamma"], delta=target["delta"], r=target["radius"])
+        if not reply.get("would_move"):
+            raise RefusedError(why_refused(reply))
+        return reply
 
     async def robot(self) -> dict[str, Any]:
         """Where the robot is."""

@@ -173,13 +173,13 @@ def _records() -> Any:
             ):  # fmt: skip
                 await field.write(value, verify_value=False)
 
-        async def show(self, told: dict[str, Any]) -> None:
+        async def show(self, reply: dict[str, Any]) -> None:
             """Where it is."""
             fields, scale, name = self.motor.field_inst, self.robot.scale[self.axis], AXES[self.axis]
             for field in (fields.user_readback_value, fields.dial_readback_value):
-                await field.write(told["at"][name] * scale, verify_value=False)
-            await fields.motor_is_moving.write(int(told["moving"]), verify_value=False)
-            accepted = told["setpoint"][name] * scale
+                await field.write(reply["at"][name] * scale, verify_value=False)
+            await fields.motor_is_moving.write(int(reply["moving"]), verify_value=False)
+            accepted = reply["setpoint"][name] * scale
             if not self.puts and self.motor.value != accepted:
                 await self.motor.write(accepted, verify_value=False, update_fields=False)
 
@@ -245,7 +245,7 @@ def _records() -> Any:
         async def look(self) -> None:
             """Show where the robot is; what cannot be known is an alarm."""
             try:
-                told = await self.robot.combined.robot()
+                reply = await self.robot.combined.robot()
             except CallError as error:
                 await self.alarm(AlarmSeverity.INVALID_ALARM, AlarmStatus.COMM)
                 await self.trouble.write(str(error)[:TEXT], verify_value=False)
@@ -254,13 +254,13 @@ def _records() -> Any:
                 await self.alarm(AlarmSeverity.NO_ALARM, AlarmStatus.NO_ALARM)
                 await self.trouble.write("", verify_value=False)
             for axis in self.axes:
-                await axis.show(told)
-            at, scale = told["at"], self.robot.scale
+                await axis.show(reply)
+            at, scale = reply["at"], self.robot.scale
             await self.measured.write([at[name] * scale[axis] for axis, name in AXES.items()], verify_value=False)
             stds = {"gamma": at["gamma_std_rad"], "delta": at["delta_std_rad"], "radius": at["r_std_m"]}
             found = [math.nan if value is None else value * scale[axis] for axis, value in stds.items()]
             await self.uncertainty.write(found, verify_value=False)
-            who = told["holder"]
+            who = reply["holder"]
             said = "" if who is None else f"{who['name'] or 'a client without a name'} ({who['address']})"
             if said != self.holder.value:
                 await self.holder.write(said[:TEXT], verify_value=False)

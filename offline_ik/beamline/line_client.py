@@ -79,14 +79,14 @@ def _answer(found: bytes) -> dict[str, Any]:
     if not found.endswith(b"\n"):
         raise LostError("the connection to the server ended before its answer came")
     try:
-        told = orjson.loads(found)
+        reply = orjson.loads(found)
     except orjson.JSONDecodeError:
-        told = None
-    if not isinstance(told, dict):
+        reply = None
+    if not isinstance(reply, dict):
         raise LostError("the server answered something else than JSON: is it clampid serve?")
-    if told.get("ok") is not True:
-        raise RefusedError(str(told.get("error", "refused")))
-    return told
+    if reply.get("ok") is not True:
+        raise RefusedError(str(reply.get("error", "refused")))
+    return reply
 
 
 class Line:
@@ -175,8 +175,8 @@ class Line:
         except OSError as error:
             self._drop()
             raise LostError(f"the server at {self.server.host}:{self.server.port} did not answer: {error}") from None
-        told, _, self._read = self._read.partition(b"\n")
-        return _answer(told + b"\n")
+        reply, _, self._read = self._read.partition(b"\n")
+        return _answer(reply + b"\n")
 
 
 class AsyncLine:

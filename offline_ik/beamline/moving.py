@@ -14,7 +14,7 @@ from clampid.wrong_call import CallError
 from offline_ik.beamline.robot import STOOD_STILL, LinkedRobot
 from offline_ik.exchange.asked import sides_of, simulated_at_once, simulation_of
 from offline_ik.exchange.requests import RequestError, number, switch
-from offline_ik.exchange.session import Later, Session, Told
+from offline_ik.exchange.session import Later, Reply, Session
 from offline_ik.motion.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -38,11 +38,11 @@ def _move(speaker: Speaker, given: Given, session: Session) -> Later:
     stops, before = robot.stops, robot.number
     here = speaker.detector.check_posture(robot.link.posture(), "the robot's posture")
 
-    def then(simulation: Simulation) -> Told | Later:
+    def then(simulation: Simulation) -> Reply | Later:
         ways, way = simulation.ways, simulation.way
         if way is None or not simulation.safe:
             robot.refuse("; ".join(simulation.reasons))
-            return speaker.told_of({**finite(ways.to_json()), "moving": False}, ways.answer)
+            return speaker.reply_of({**finite(ways.to_json()), "moving": False}, ways.answer)
         if session.closed:
             raise RequestError("move: the connection was closed before the move was checked; nothing moves")
         if robot.stops != stops:
@@ -55,13 +55,13 @@ def _move(speaker: Speaker, given: Given, session: Session) -> Later:
         number = robot.begin(session, asked, here, way.postures)
         speed = speaker.detector.cell.speed
 
-        def sent(_: Any) -> Told | Later:
+        def sent(_: Any) -> Reply | Later:
             if robot.stops != stops:
                 raise RequestError("move: the robot was stopped as this motion began")
             data = {**finite(ways.to_json()), "moving": True, "number": number}
             if not waits:
-                return speaker.told_of(data, ways.answer)
-            then = lambda _: speaker.told_of(data | {"moving": False} | ended(speaker, number), ways.answer)  # noqa: E731
+                return speaker.reply_of(data, ways.answer)
+            then = lambda _: speaker.reply_of(data | {"moving": False} | ended(speaker, number), ways.answer)  # noqa: E731
             return _until(robot, number, LONGEST_WAIT, then)
 
         if robot.begins_at_once:  # a thread would only make it later
@@ -76,7 +76,7 @@ def _move(speaker: Speaker, given: Given, session: Session) -> Later:
     return Later(simulation_of(given, here, sides), then)
 
 
-def _until(robot: LinkedRobot, number: int, patience: float, then: Callable[[Any], Told]) -> Later:
+def _until(robot: LinkedRobot, number: int, patience: float, then: Callable[[Any], Reply]) -> Later:
     return Later(lambda _: robot.wait(number, patience), then, "wait", number, patience)
 
 
@@ -91,7 +91,7 @@ def status_of(speaker: Speaker) -> dict[str, Any]:
     """The robot's state for a beamline."""
     robot = _linked(speaker, "robot", "there is none to see")
     moving = robot.refresh()
-    here, place, told = robot.place(speaker.detector)
+    here, place, reply = robot.place(speaker.detector)
     last = next(reversed(robot.ends.values()), None)
     return {
         "moving": moving,
@@ -99,18 +99,18 @@ def status_of(speaker: Speaker) -> dict[str, Any]:
         "number": robot.number,
         "ended": None if last is None else last.to_json(),
         "setpoint": robot.setpoint(here, place, moving),
-        "at": told,
+        "at": reply,
         "last_refusal": robot.refusal,
         "refusals": robot.refusals,
         "link": finite(dict(robot.link.state())),
     }
 
 
-def _robot(speaker: Speaker, given: Given, session: Session) -> Told:
-    return Told({**status_of(speaker), "convention": speaker.convention})
+def _robot(speaker: Speaker, given: Given, session: Session) -> Reply:
+    return Reply({**status_of(speaker), "convention": speaker.convention})
 
 
-def _moved(speaker: Speaker, given: Given, session: Session) -> Told | Later:
+def _moved(speaker: Speaker, given: Given, session: Session) -> Reply | Later:
     robot, patience = _linked(speaker, "moved", "nothing moves"), number(given, "timeout", LONGEST_WAIT)
     if not (math.isfinite(patience) and 0 <= patience <= LONGEST_WAIT):
         raise RequestError(f"timeout: expected seconds from 0 to {LONGEST_WAIT:g}, found {patience:g}")
@@ -120,26 +120,26 @@ def _moved(speaker: Speaker, given: Given, session: Session) -> Told | Later:
         raise RequestError(f"number: expected a motion from 1 to {robot.number}, found {asked:g}")
     which = int(asked)
 
-    def then(_: Any) -> Told:
+    def then(_: Any) -> Reply:
         found = {**status_of(speaker), "convention": speaker.convention}
         if "number" in given:
             end = robot.ends.get(which)
             found["ended"] = None if end is None else end.to_json()
-        return Told(found)
+        return Reply(found)
 
     return _until(robot, which, patience, then)
 
 
-def _hold(speaker: Speaker, given: Given, session: Session) -> Told:
+def _hold(speaker: Speaker, given: Given, session: Session) -> Reply:
     robot = _linked(speaker, "hold", "there is none to hold")
     robot.hold(session)
-    return Told({"holder": robot.holder()})
+    return Reply({"holder": robot.holder()})
 
 
-def _release(speaker: Speaker, given: Given, session: Session) -> Told:
+def _release(speaker: Speaker, given: Given, session: Session) -> Reply:
     robot = _linked(speaker, "release", "there is none to release")
     robot.release(session)
-    return Told({"holder": robot.holder()})
+    return Reply({"holder": robot.holder()})
 
 
 def _confirm(speaker: Speaker, given: Given, session: Session) -> Later:
@@ -153,15 +153,15 @@ def _confirm(speaker: Speaker, given: Given, session: Session) -> Later:
     return Later(lambda _: confirm(), lambda _: _after(speaker, robot), "link")
 
 
-def _after(speaker: Speaker, robot: LinkedRobot) -> Told:
+def _after(speaker: Speaker, robot: LinkedRobot) -> Reply:
     """The link's state, and the robot's position if known."""
-    told: dict[str, Any] = {"link": finite(dict(robot.link.state()))}
+    reply: dict[str, Any] = {"link": finite(dict(robot.link.state()))}
     with suppress(CallError):  # a stop is answered all the same
-        told["at"] = robot.place(speaker.detector)[2]
-    return Told(told)
+        reply["at"] = robot.place(speaker.detector)[2]
+    return Reply(reply)
 
 
-def _stop(speaker: Speaker, given: Given, session: Session) -> Told | Later:
+def _stop(speaker: Speaker, given: Given, session: Session) -> Reply | Later:
     robot = _linked(speaker, "stop", "there is nothing to stop")
     robot.stops += 1  # at once: what is being checked does not begin any more
 
@@ -171,7 +171,7 @@ def _stop(speaker: Speaker, given: Given, session: Session) -> Told | Later:
     return Later(lambda _: robot.stop(), lambda _: _after(speaker, robot), "stop")
 
 
-MOVING: Mapping[str, Callable[[Speaker, Given, Session], Told | Later]] = {
+MOVING: Mapping[str, Callable[[Speaker, Given, Session], Reply | Later]] = {
     "move": _move,
     "moved": _moved,
     "robot": _robot,

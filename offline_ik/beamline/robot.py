@@ -252,9 +252,9 @@ class LinkedRobot:
             return here, seen[3], seen[4]
         place = place_of(detector, here, self._from if known else None)
         frames = detector.framing(detector.to_base(place.pose), here)
-        told = {"q_rad": here.tolist(), **place.to_json(), **frames}
-        self._seen = (detector, known, here.copy(), place, told)
-        return here, place, told
+        reply = {"q_rad": here.tolist(), **place.to_json(), **frames}
+        self._seen = (detector, known, here.copy(), place, reply)
+        return here, place, reply
 
     def setpoint(self, here: Array, place: Place, moving: bool) -> dict[str, float]:
         """The accepted coordinates; where the robot was moved otherwise, those where it was first seen to stand."""

@@ -119,14 +119,14 @@ class DetectorRobot(Device):
             gamma = before["gamma_rad"] if value[0] == back[0] else gamma
             delta = before["delta_rad"] if value[1] == back[1] else delta
             r = before["r_m"] if value[2] == back[2] else r
-            told = self._lines["move"].move(gamma=gamma, delta=delta, r=r)
+            reply = self._lines["move"].move(gamma=gamma, delta=delta, r=r)
         except LostError as error:
             return f"{error}; whether the robot moves is not known, see State"
         except CallError as error:
             return str(error)
-        if told["moving"]:
+        if reply["moving"]:
             return ""
-        return "; ".join(told.get("reasons") or told.get("path", {}).get("reasons") or ["not reachable"])
+        return "; ".join(reply.get("reasons") or reply.get("path", {}).get("reasons") or ["not reachable"])
 
     @attribute(dtype=(float,), max_dim_x=3, doc="[gamma, delta, radius] as measured")
     def measured(self) -> list[float]:

@@ -51,9 +51,9 @@ def nearest_reachable(detector: Detector, target: Array, roll: float | None) -> 
             ends.append((least.distance(end), end))
     for _, q in sorted(ends, key=lambda one: one[0]):
         for back in BACK:
-            told = _confirmed(detector, q, target[:3, 3], roll, back)
-            if told is not None:
-                return told
+            confirmed = _confirmed(detector, q, target[:3, 3], roll, back)
+            if confirmed is not None:
+                return confirmed
     return None
 
 
@@ -178,8 +178,8 @@ def _within_reach(detector: Detector, rng: np.random.Generator) -> Array:
     """Places ``(POINTS, 3)`` in the ball that the arm can reach at all, convention's frame, m."""
     ortho, mount = detector.solver.ortho, detector.solver.mount
     assert ortho is not None
-    held = (ortho.home @ mount)[:3, 3] - ortho.wrist
-    reach = sum(ortho.lengths) + float(np.linalg.norm(ortho.shoulder - ortho.foot)) + float(np.linalg.norm(held))
+    tool = (ortho.home @ mount)[:3, 3] - ortho.wrist
+    reach = sum(ortho.lengths) + float(np.linalg.norm(ortho.shoulder - ortho.foot)) + float(np.linalg.norm(tool))
     direction = rng.normal(size=(POINTS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     places = ortho.foot + reach * np.cbrt(rng.uniform(size=(POINTS, 1))) * direction

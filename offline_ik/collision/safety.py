@@ -162,21 +162,21 @@ def check_sample(detector: Detector) -> None:
     at = np.eye(4)
     at[:3, 3] = convention.sample
     place = detector.to_base(at)[:3, 3]
-    told = f"the sample at {np.round(place, 4).tolist()} m (base frame) lies inside"
+    position = f"the sample at {np.round(place, 4).tolist()} m (base frame) lies inside"
     point = coal.Sphere(1e-6)
     here = coal.Transform3s(np.eye(3), place.copy())
     inside = {o.name for o in detector.cell.obstacles if o.holds_sample}
     for shape in world_of(detector).shapes:
         if shape.kind == "base" and _in_column(detector, shape, place):
             raise CellError(
-                f"{told} the robot's base or what is below it (within {shape.radius:.3f} m of axis 1); an obstacle "
+                f"{position} the robot's base or what is below it (within {shape.radius:.3f} m of axis 1); an obstacle "
                 "that reaches the foot of the base says what is there"
             )
         if shape.kind != "obstacle" or shape.name in inside:
             continue
         geometry = shape.geometry if shape.hull is None else shape.hull
         if distance_of(point, here, geometry, shape.at(np.eye(4))) <= 0:
-            raise CellError(f"{told} {shape.name}; an obstacle that may hold it says holds_sample = true")
+            raise CellError(f"{position} {shape.name}; an obstacle that may hold it says holds_sample = true")
 
 
 def _in_column(detector: Detector, base: Shape, place: Array) -> bool:

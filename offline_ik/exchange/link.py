@@ -182,22 +182,22 @@ class LinkedRobot:
         """
         self._stops += 1
         self._stopped_here = True
-        self._tell(self.link.stop)
+        self._call(self.link.stop)
 
     def release(self) -> None:
         """Lift the stop; as `stop`."""
-        self._tell(self.link.release)
+        self._call(self.link.release)
 
     def confirm(self) -> None:
         """A person has looked at the robot: questions are settled, and the next `move` lifts a stop of whoever."""
-        self._tell(self.link.confirm)
+        self._call(self.link.confirm)
         self._stopped_here = True
 
     def close(self) -> None:
         """Hang up."""
         self.link.close()
 
-    def _tell(self, call: Callable[[], None]) -> None:
+    def _call(self, call: Callable[[], None]) -> None:
         with _worded():
             call()
 

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from offline_ik.inverse.detector import Detector
     from offline_ik.server.protocol import Speaker
 
-__all__ = ["Job", "Later", "Session", "Told"]
+__all__ = ["Job", "Later", "Reply", "Session"]
 
 Array = npt.NDArray[np.float64]
 Lane = Literal["compute", "soon", "link", "stop", "wait"]
 
 
-class Told(NamedTuple):
+class Reply(NamedTuple):
     """What a request is answered with: members of the answer."""
 
     data: dict[str, Any]
@@ -42,7 +42,7 @@ class Later(NamedTuple):
     """
 
     work: Callable[[Detector], Any]
-    then: Callable[[Any], Told | Later]
+    then: Callable[[Any], Reply | Later]
     lane: Lane = "compute"
     number: int = 0
     patience: float = 0.0
@@ -106,9 +106,9 @@ class Job:
         if isinstance(found, CallError):
             return self.speaker.refuse_request(self.word, found, self.given)
         try:
-            told = self.later.then(found)
+            reply = self.later.then(found)
         except CallError as error:
             return self.speaker.refuse_request(self.word, error, self.given)
-        if isinstance(told, Later):
-            return replace(self, later=told)
-        return self.speaker.told(self.word, self.given, told)
+        if isinstance(reply, Later):
+            return replace(self, later=reply)
+        return self.speaker.line_of(self.word, self.given, reply)

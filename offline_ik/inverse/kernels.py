@@ -199,7 +199,7 @@ def locate_kernel(
     if convention.frame != "base":
         back = np.linalg.inv(arm.base)
         R, p = ca.DM(back[:3, :3]) @ R, ca.DM(back[:3, :3]) @ p + ca.DM(back[:3, 3])
-    start, told = _nearest(ortho, mount, np.asarray(arm.robot.linkage), R, p, near, lower, upper)
+    start, choice = _nearest(ortho, mount, np.asarray(arm.robot.linkage), R, p, near, lower, upper)
     direction = ca.if_else(moved > 0.5, ca.sign(start - near), conditions[:n])
     given = ca.vertcat(direction, conditions[n:])
     q, error = newton(arm, mount, start, R, p, given, CHORDS + 1)[:2]
@@ -223,12 +223,12 @@ def locate_kernel(
     ok = ca.mmax(ca.fabs(error)) <= 0.1 * CONVERGED  # as in the solver: what is not solved goes to its searches
     for i in range(n):
         ok = ca.logic_and(ok, ca.logic_and(q[i] >= float(lower[i]), q[i] <= float(upper[i])))
-    branch = ca.if_else(ok, told[0], -1)
+    branch = ca.if_else(ok, choice[0], -1)
     chain3 = (ca.DM(np.asarray(arm.robot.linkage)) @ q)[2]
     left = ca.vertcat(ca.norm_2(error[:3]), ca.norm_2(error[3:]))
-    told = ca.vertcat(left, branch, told[1], told[2], chain3, ca.mmax(ca.fabs(q - near)))
+    choice = ca.vertcat(left, branch, choice[1], choice[2], chain3, ca.mmax(ca.fabs(q - near)))
     target = ca.vertcat(ca.horzcat(target_R, target_p), ca.DM([[0, 0, 0, 1]]))
-    first = ca.vertcat(ca.vec(target.T), q, motor, direction, told)
+    first = ca.vertcat(ca.vec(target.T), q, motor, direction, choice)
     outputs = [ca.densify(o) for o in (first, ca.vec(J.T), ca.vec(half))]
     return Kernel(ca.Function("locate", [row], ca.cse(outputs))), counting
 
@@ -240,16 +240,16 @@ def _nearest(
     flange_R = R @ ca.DM(mount[:3, :3].T)
     flange_p = p - flange_R @ ca.DM(mount[:3, 3])
     postures, quality = branches_sx(ortho, flange_R, flange_p, (ca.DM(linkage) @ near)[3])
-    start, best, told = near, ca.SX(1e9), ca.vertcat(-1, 0, 0)
+    start, best, choice = near, ca.SX(1e9), ca.vertcat(-1, 0, 0)
     for b in range(postures.shape[1]):
         q = ca.DM(np.linalg.inv(linkage)) @ postures[:, b]
         q, fits = _turned_within(q, near, lower, upper)
         cost = ca.mmax(ca.fabs(q - near)) + ca.if_else(ca.logic_and(fits, ca.mmax(quality[:2, b]) <= 0), 0, 1e6)
         better = cost < best - 1e-9
         start = ca.if_else(better, q, start)
-        told = ca.if_else(better, ca.vertcat(ca.if_else(cost < 1e6, b, -1), quality[2, b], quality[0, b]), told)
+        choice = ca.if_else(better, ca.vertcat(ca.if_else(cost < 1e6, b, -1), quality[2, b], quality[0, b]), choice)
         best = ca.fmin(cost, best)
-    return start, told
+    return start, choice
 
 
 def _turned_within(q: Any, near: Any, lower: Array, upper: Array) -> tuple[Any, Any]:

@@ -75,8 +75,8 @@ def wrist_of(mounted: MountedArm, chain: Array, R: Array, side: float, q4: float
     assert arm is not None
     a4, a5, a6 = arm.axes[3:]
     screws = mounted.arm.robot.screws
-    held = joint_transforms(screws, chain)[..., 3, :3, :3]
-    W = np.swapaxes(held, -1, -2) @ (R @ arm.home[:3, :3].T)
+    forearm = joint_transforms(screws, chain)[..., 3, :3, :3]
+    W = np.swapaxes(forearm, -1, -2) @ (R @ arm.home[:3, :3].T)
     d = W @ a6
     along, first, second = d @ a4, d @ np.cross(a5, a4), d @ a5
     sine = np.hypot(first, second)

@@ -54,8 +54,8 @@ class Way:
 
     def to_json(self) -> dict[str, Any]:
         """For programs: ``path``, and ``approach`` where there is one."""
-        told: dict[str, Any] = {} if self.approach is None else {"approach": self.approach.to_json()}
-        return {**told, "path": self.path.to_json() | {"checked": self.checked}}
+        members: dict[str, Any] = {} if self.approach is None else {"approach": self.approach.to_json()}
+        return {**members, "path": self.path.to_json() | {"checked": self.checked}}
 
     @property
     def checked(self) -> str:
@@ -115,12 +115,14 @@ class Ways:
         """For programs: of the posture at the head, and what was refused."""
         if not self.chosen:
             return {}
-        told = self.chosen[0].to_json() | {"direction_from": self.came}
+        members = self.chosen[0].to_json() | {"direction_from": self.came}
         if self.refused:
-            told["refused"] = [{"q_rad": w.solution.q.tolist(), "reasons": list(w.path.reasons)} for w in self.refused]
+            members["refused"] = [
+                {"q_rad": w.solution.q.tolist(), "reasons": list(w.path.reasons)} for w in self.refused
+            ]
         if self.notes:
-            told["notes"] = list(self.notes)
-        return told
+            members["notes"] = list(self.notes)
+        return members
 
 
 def ways_to(

@@ -84,7 +84,7 @@ class SamplePosition:
     checks
         ``(N,)``: by how many standard errors each reflection misses what the others say; not a number where they say
         nothing of it.
-    not_told
+    undetermined
         ``(k, 3)``: directions that the reflections do not determine, or not to within a centimetre.
     """
 
@@ -95,7 +95,7 @@ class SamplePosition:
     residuals: Array
     stated: Array
     checks: Array
-    not_told: Array
+    undetermined: Array
 
     @property
     def std(self) -> Array:
@@ -133,7 +133,7 @@ class SamplePosition:
             "sample_m": self.sample.tolist(),
             "std_m": self.std.tolist(),
             "covariance_m2": self.covariance.tolist(),
-            "not_told": self.not_told.tolist(),
+            "not_told": self.undetermined.tolist(),
             "misfit": self.misfit,
             "chi_square": self.chi_square,
             "degrees_of_freedom": self.freedom,

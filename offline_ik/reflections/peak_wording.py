@@ -11,7 +11,7 @@ import numpy.typing as npt
 from clampid.display import with_error
 from offline_ik.reflections.bragg import FALSE_ALARM, SamplePosition
 
-__all__ = ["LAB", "agreement", "not_told"]
+__all__ = ["LAB", "agreement", "undetermined_directions"]
 
 LAB = ("across", "up", "along the beam")
 """The laboratory's axes, as the columns of :attr:`offline_ik.cell.coordinates.Convention.lab`."""
@@ -48,7 +48,7 @@ def agreement(position: SamplePosition, names: Sequence[str]) -> tuple[str, ...]
     return (*said, "no single reflection is the reason: see to stated errors, convention, beam and mount")
 
 
-def not_told(directions: npt.NDArray[np.float64]) -> tuple[str, ...]:
+def undetermined_directions(directions: npt.NDArray[np.float64]) -> tuple[str, ...]:
     """Of directions ``(k, 3)`` in the laboratory's axes."""
     return tuple(
         f"not determined by these reflections: the place {_words(direction)}; there the cell's sample is kept"

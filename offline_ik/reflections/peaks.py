@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from offline_ik.errors import TargetError
 from offline_ik.reflections.bragg import Reflection, SamplePosition, sample_position
-from offline_ik.reflections.peak_wording import LAB, agreement, not_told
+from offline_ik.reflections.peak_wording import LAB, agreement, undetermined_directions
 
 if TYPE_CHECKING:
     from offline_ik.inverse.detector import Detector
@@ -162,7 +162,7 @@ def sample_from_peaks(
         np.array([stands.q[m] for m in which]),
         points,
         tuple(peak.name or f"row {k}" for k, peak in enumerate(peaks, 1)),
-        (*not_told(position.not_told @ lab), *detector.notes, *stands.notes(which)),
+        (*undetermined_directions(position.undetermined @ lab), *detector.notes, *stands.notes(which)),
         detector.cell.convention.to_json(),
     )
 

@@ -21,8 +21,8 @@ import orjson
 from clampid.plain_json import finite
 from clampid.wrong_call import CallError
 from experiments.temperatures import REFERENCE_TEMPERATURE
-from offline_ik.beamline.looking import LOOKING
 from offline_ik.beamline.moving import MOVING
+from offline_ik.beamline.previews import PREVIEWS
 from offline_ik.beamline.robot import LinkedRobot
 from offline_ik.cell.pyfai import pyfai_geometry
 from offline_ik.collision.safety import check_path, move_time
@@ -30,7 +30,7 @@ from offline_ik.errors import DetectorError, TargetError
 from offline_ik.exchange.asked import asked_of, sides_of, simulation_of
 from offline_ik.exchange.link import RobotLink
 from offline_ik.exchange.requests import EVERY, GREETED, MOVES, WORDS, RequestError, number, numbers, parse, switch
-from offline_ik.exchange.session import Job, Later, Session, Told
+from offline_ik.exchange.session import Job, Later, Reply, Session
 from offline_ik.inverse.answer import Answer
 from offline_ik.inverse.assumed import time_effects
 from offline_ik.inverse.detector import Detector
@@ -110,15 +110,15 @@ class Speaker:
             if self.answers_only and word in MOVES:
                 raise RequestError(f"{word}: this server only answers: a network reaches it, and it has no token")
             self._tick()
-            told = self._verbs[word](self, given, session)
+            reply = self._verbs[word](self, given, session)
         except CallError as error:
             return self.refuse_request(word, error, given)
-        return Job(self, word, given, told) if isinstance(told, Later) else self.told(word, given, told)
+        return Job(self, word, given, reply) if isinstance(reply, Later) else self.line_of(word, given, reply)
 
-    def told(self, word: str, given: Mapping[str, str], told: Told) -> bytes:
+    def line_of(self, word: str, given: Mapping[str, str], reply: Reply) -> bytes:
         """The line of an answer."""
         self.answered += 1
-        return _line({"ok": True, "do": word, **_id(given), **told.data})
+        return _line({"ok": True, "do": word, **_id(given), **reply.data})
 
     def _tick(self) -> None:
         """Let the robot's running time go on, where it is known and the model reads it."""
@@ -147,7 +147,7 @@ class Speaker:
         self.refused += 1
         return _line({"ok": False, **_id(given or {}), "error": reason})
 
-    def _where(self, given: Mapping[str, str], session: Session) -> Told | Later:
+    def _where(self, given: Mapping[str, str], session: Session) -> Reply | Later:
         near, sides = numbers(given, "near"), sides_of(self.detector, given)
         approach, pyfai = switch(given, "approach"), switch(given, "pyfai")
         asked = asked_of(given, near, sides)
@@ -165,12 +165,12 @@ class Speaker:
 
         return Later(work, lambda found: self._located(found[0], found[1], pyfai))
 
-    def _located(self, data: dict[str, Any], answer: Answer, pyfai: bool) -> Told:
+    def _located(self, data: dict[str, Any], answer: Answer, pyfai: bool) -> Reply:
         if answer.reachable and pyfai:
             data["pyfai"] = pyfai_geometry(self.detector.cell.convention, answer.target).to_json()
-        return self.told_of(data, answer)
+        return self.reply_of(data, answer)
 
-    def _path(self, given: Mapping[str, str], session: Session) -> Told | Later:
+    def _path(self, given: Mapping[str, str], session: Session) -> Reply | Later:
         start = numbers(given, "from")
         if start is None:
             start = self.posture(session, "from")
@@ -183,23 +183,23 @@ class Speaker:
             way = [start, self.detector.check_posture(to, "to")]
             return Later(
                 lambda detector: check_path(detector, way),
-                lambda path: Told({"path": finite(path.to_json()), "convention": self.convention}),
+                lambda path: Reply({"path": finite(path.to_json()), "convention": self.convention}),
             )
         work = simulation_of(given, start, sides_of(self.detector, given))
         return Later(work, partial(self._checked, given.get("branch") == "all"))
 
-    def _checked(self, every: bool, simulation: Simulation) -> Told:
+    def _checked(self, every: bool, simulation: Simulation) -> Reply:
         ways = simulation.ways
-        told = self.told_of(finite(ways.to_json()), ways.answer)
+        reply = self.reply_of(finite(ways.to_json()), ways.answer)
         if every:
-            for solution, way in zip(told.data["solutions"], ways.chosen, strict=True):
+            for solution, way in zip(reply.data["solutions"], ways.chosen, strict=True):
                 solution.update(finite(way.to_json()))
-        return told
+        return reply
 
-    def told_of(self, data: dict[str, Any], answer: Answer) -> Told:
+    def reply_of(self, data: dict[str, Any], answer: Answer) -> Reply:
         """What is reported of an answer's positions."""
         members = members_of(self.detector, answer)
-        return Told({**data, "convention": self.convention, **members, "nearest": answer.nearest})
+        return Reply({**data, "convention": self.convention, **members, "nearest": answer.nearest})
 
     def posture(self, session: Session, key: str | None = None) -> Array:
         """Where the linked robot or the stream is; ``key``: what else would have said it."""
@@ -221,12 +221,12 @@ class Speaker:
         except DetectorError:
             return None
 
-    def _start(self, given: Mapping[str, str], session: Session) -> Told:
+    def _start(self, given: Mapping[str, str], session: Session) -> Reply:
         q = numbers(given, "q")
         if q is None:
             raise RequestError("start: expected q=q1,q2,…")
         session.here = self.detector.check_posture(q, "q")
-        return Told({"q_rad": session.here.tolist(), **self.frames_at(session.here)})
+        return Reply({"q_rad": session.here.tolist(), **self.frames_at(session.here)})
 
     def _stream(self, given: Mapping[str, str], session: Session) -> Later:
         """One target of a stream: nearest to the last one, and no faster than the joints can."""
@@ -248,17 +248,17 @@ class Speaker:
                 raise TargetError(f"stream: {'; '.join(ways.chosen[0].path.reasons)}")
             return ways
 
-        def then(ways: Ways) -> Told:
+        def then(ways: Ways) -> Reply:
             data = finite(ways.to_json())
             if ways.chosen:
                 session.here = ways.chosen[0].solution.q
                 session.count += 1
                 data["needs_s"] = ways.chosen[0].path.duration
-            return self.told_of({**data, "number": session.count}, ways.answer)
+            return self.reply_of({**data, "number": session.count}, ways.answer)
 
         return Later(work, then)
 
-    def _temperature(self, given: Mapping[str, str], session: Session) -> Told:
+    def _temperature(self, given: Mapping[str, str], session: Session) -> Reply:
         found = {k: numbers(given, k) for k in ("link", "motor")}
         if all(v is None for v in found.values()) and "running" not in given:
             raise RequestError("temperature: expected link=t1,t2,… or motor=t1,t2,… in degC, or running= in s")
@@ -268,7 +268,7 @@ class Speaker:
             detector = detector.at_running(running)
             self._since = self.clock() - running
         self.detector = detector
-        return Told(self._temperatures())
+        return Reply(self._temperatures())
 
     def _temperatures(self) -> dict[str, Any]:
         still = self.detector.still
@@ -279,19 +279,19 @@ class Speaker:
             "notes": list(self.detector.notes),
         }
 
-    def _at(self, given: Mapping[str, str], session: Session) -> Told:
+    def _at(self, given: Mapping[str, str], session: Session) -> Reply:
         """The inverse of ``where``: the detector position of a posture."""
         q = numbers(given, "q")
         there = self.detector.check_posture(self.posture(session, "q") if q is None else q, "q")
         place = place_of(self.detector, there, numbers(given, "near"))
         frames = self.detector.framing(self.detector.to_base(place.pose), there)
-        return Told({"q_rad": there.tolist(), **place.to_json(), **frames, "convention": self.convention})
+        return Reply({"q_rad": there.tolist(), **place.to_json(), **frames, "convention": self.convention})
 
     def _sample(self, given: Mapping[str, str], session: Session) -> Later:
         """Where the scattering point is, by reflections found."""
-        return Later(lambda detector: sample_of(detector, given), lambda found: Told(finite(found.to_json())))
+        return Later(lambda detector: sample_of(detector, given), lambda found: Reply(finite(found.to_json())))
 
-    def _state(self, given: Mapping[str, str], session: Session) -> Told:
+    def _state(self, given: Mapping[str, str], session: Session) -> Reply:
         cell = self.detector.cell
         state = {
             "robot": self.detector.robot.name,
@@ -307,26 +307,26 @@ class Speaker:
             "answers_only": self.answers_only,
             "convention": self.convention,
         }
-        return Told(state)
+        return Reply(state)
 
-    def _hello(self, given: Mapping[str, str], session: Session) -> Told:
+    def _hello(self, given: Mapping[str, str], session: Session) -> Reply:
         """The client greets this server on purpose: a browser, which speaks HTTP, cannot."""
         if self.token is not None and not hmac.compare_digest(given.get("token", "").encode(), self.token.encode()):
             session.done = True  # one attempt a connection
             raise RequestError(f"hello: expected token=…, found {'another' if 'token' in given else 'none'}")
         session.greeted, session.name = True, given.get("name", "")[:64]
         linked = self.link is not None
-        told = {"server": "clampid", "robot": self.detector.robot.name, "linked": linked}
-        return Told({**told, "moves": self.robot is not None and self.robot.executes and not self.answers_only})
+        reply = {"server": "clampid", "robot": self.detector.robot.name, "linked": linked}
+        return Reply({**reply, "moves": self.robot is not None and self.robot.executes and not self.answers_only})
 
-    def _help(self, given: Mapping[str, str], session: Session) -> Told:
-        return Told({"requests": {word: list(keys) for word, keys in WORDS.items()}, "every": list(EVERY)})
+    def _help(self, given: Mapping[str, str], session: Session) -> Reply:
+        return Reply({"requests": {word: list(keys) for word, keys in WORDS.items()}, "every": list(EVERY)})
 
-    def _quit(self, given: Mapping[str, str], session: Session) -> Told:
+    def _quit(self, given: Mapping[str, str], session: Session) -> Reply:
         session.done = True
-        return Told({})
+        return Reply({})
 
-    _verbs: Mapping[str, Callable[[Speaker, Mapping[str, str], Session], Told | Later]] = field(
+    _verbs: Mapping[str, Callable[[Speaker, Mapping[str, str], Session], Reply | Later]] = field(
         init=False,
         repr=False,
         default_factory=lambda: {
@@ -339,7 +339,7 @@ class Speaker:
             "at": Speaker._at,
             "sample": Speaker._sample,
             **MOVING,
-            **LOOKING,
+            **PREVIEWS,
             "state": Speaker._state,
             "help": Speaker._help,
             "quit": Speaker._quit,

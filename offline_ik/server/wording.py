@@ -20,11 +20,11 @@ def members_of(detector: Detector, answer: Answer) -> dict[str, Any]:
         "reasons": answer.reasons,
         "asked": answer.asked,
         "detector_position_m": answer.target[:3, 3].tolist(),
-        "solutions": [_told(s) | detector.framing(base, s.q) for s in answer.solutions],
+        "solutions": [_solution_json(s) | detector.framing(base, s.q) for s in answer.solutions],
     }
 
 
-def _told(solution: Solution) -> dict[str, Any]:
+def _solution_json(solution: Solution) -> dict[str, Any]:
     return {
         "q_rad": solution.q.tolist(),
         "motor_rad": solution.motor.tolist(),

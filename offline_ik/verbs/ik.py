@@ -14,8 +14,8 @@ from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet, Verbose
 from clampid.verbs.output import Output
 from clampid.verbs.units import Degrees, Millimetres, Units
 from offline_ik.errors import DetectorError
-from offline_ik.verbs.looking import Look, Picture, Pixel, Pixels, Poni, check_looks, looked
 from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened, say_assumed
+from offline_ik.verbs.previews import Picture, Pixel, Pixels, Poni, Preview, check_previews, previewed
 from offline_ik.verbs.screen import ik_screen
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def ik(
 ) -> None:  # fmt: skip
     """Give joint and motor angles for a detector position, its uncertainty, and whether the move is safe."""
     out = Output(quiet, json, verbose)
-    check_looks(picture, poni)
+    check_previews(picture, poni)
     os.environ.setdefault("CLAMPID_COMPILER", "none")  # one answer comes sooner than its compiled kernel
     from offline_ik.cell.checks import check_directions
     from offline_ik.cell.coordinates import check_target
@@ -88,7 +88,7 @@ def ik(
         )
         ways = simulation.ways
         answer, data = ways.answer, _data(ways, branch, (*detector.notes, *_later(detector, ways)))
-        found, seen = looked(detector, simulation, Look(picture, poni, pixel, pixels), units)
+        found, seen = previewed(detector, simulation, Preview(picture, poni, pixel, pixels), units)
         data |= seen
     if pyfai and answer.reachable:
         from offline_ik.cell.pyfai import pyfai_geometry

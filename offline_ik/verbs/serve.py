@@ -134,11 +134,11 @@ def _refuse_taken(given: Given) -> None:
 
     asked = [("--tango-listen", given.tango_listen)] * (given.tango is not None)
     asked += [("--epics-listen", given.epics_listen)] * (given.epics is not None)
-    with contextlib.ExitStack() as held:
+    with contextlib.ExitStack() as opened:
         for option, text in asked:
             try:
                 for one in take(*listens_on(option, text)):
-                    held.callback(one.close)
+                    opened.callback(one.close)
             except DetectorError as error:
                 raise DetectorError(f"{option}: {error}") from None
 

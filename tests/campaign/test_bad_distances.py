@@ -213,7 +213,7 @@ def test_an_anchor_is_located_whatever_its_distances_are_too_long_by(constant: f
     assert found.size < 2e-4
 
 
-def test_a_mirror_image_is_told() -> None:
+def test_a_mirror_image_is_reported() -> None:
     points = np.c_[np.random.default_rng(0).uniform(-1, 1, (40, 2)), np.zeros(40)]
     found = locate(points, np.linalg.norm(points - [0.4, 0.9, 1.3], axis=1))
     assert found.mirrored is not None

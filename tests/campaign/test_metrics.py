@@ -140,7 +140,7 @@ def _returned(rng: np.random.Generator, poses: int, returns: int, apart: float, 
 
 
 @pytest.mark.slow
-def test_two_returns_tell_what_thirty_would_show_within_the_interval() -> None:
+def test_repeatability_interval_from_two_returns_has_its_coverage() -> None:
     std = np.array([3e-5, 1e-5, 1e-5])
     truth, rng = expected_repeatability(np.diag(std**2)), np.random.default_rng(0)
     found = [_returned(rng, 6, 2, 0.0, std) for _ in range(400)]
@@ -150,7 +150,7 @@ def test_two_returns_tell_what_thirty_would_show_within_the_interval() -> None:
     assert np.mean([m.metrics["RP"].mean for m in found]) < 0.4 * truth  # the formula's own, of two returns
 
 
-def test_scatter_alone_explains_what_it_does_and_no_more() -> None:
+def test_scatter_explains_only_its_own_share() -> None:
     rng, std = np.random.default_rng(0), np.full(3, 1e-5)
     none, some = _returned(rng, 60, 3, 0.0, std), _returned(rng, 60, 3, 1e-4, std)
     for name in ("vAP", "dAP"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.signals import held_sign, rest_threshold, speed_counts, speeds, threshold_of_counts
+from experiments.signals import carried_sign, rest_threshold, speed_counts, speeds, threshold_of_counts
 
 NOISE = 3e-5  # rad/s
 
@@ -27,10 +27,10 @@ def test_a_joint_that_never_rests_gets_two_per_cent_of_its_top_speed() -> None:
     assert rest_threshold(speed)[0] == pytest.approx(0.02 * np.abs(speed).max(), rel=1e-9)
 
 
-def test_held_signs_do_not_flip_at_rest() -> None:
+def test_carried_signs_do_not_flip_at_rest() -> None:
     speed, time = np.flipud(mostly_resting(0.9)), 0.004 * np.arange(40_000)  # moves first, then rests
     position = np.cumsum(speed, axis=0) * 0.004
-    sign = held_sign(speed, rest_threshold(speed), np.zeros(len(speed), dtype=np.int64), position, time)
+    sign = carried_sign(speed, rest_threshold(speed), np.zeros(len(speed), dtype=np.int64), position, time)
     assert len(np.unique(sign[-36_000:])) == 1
 
 
@@ -41,7 +41,7 @@ def test_the_last_motion_is_not_what_a_smoothed_speed_overshoots_to(step: float)
     counts = np.round(way / 1e-6 + 0.4 * np.random.default_rng(2).standard_normal(len(time))) * 1e-6  # an encoder's
     position, run = counts[:, None], np.zeros(len(time), dtype=np.int64)
     speed = speeds(position, time, run, max(0.02, 5 * step), step)
-    sign = held_sign(speed, rest_threshold(speed), run, position, time)[:, 0]
+    sign = carried_sign(speed, rest_threshold(speed), run, position, time)[:, 0]
     margin = 2 * step
     for begin, end, moved in ((0.0, 3.0, 0), (3.0, 8.0, 1), (8.0, 13.0, -1), (13.0, 20.0, 1)):
         inside = (time > begin + margin) & (time < end - margin)

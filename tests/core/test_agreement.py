@@ -36,7 +36,7 @@ def pair_of(seed: int, shift: np.ndarray | None = None) -> tuple[StageModel, Sta
     return stage_of("clamped", 0.01 * TRUE, rng), stage_of("poses", 0.05 * TRUE, rng, shift)
 
 
-def test_drives_that_agree_are_called_different_as_rarely_as_it_says():
+def test_false_alarm_rate_of_drive_contradictions():
     found = [agreement_of(*pair_of(seed)) for seed in range(400)]
     together = np.array([p for _, p in found])
     assert stats.kstest(together, "uniform").pvalue > 1e-3

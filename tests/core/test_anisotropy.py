@@ -54,7 +54,7 @@ def test_noise_along_z_is_learned_and_none_of_its_rows_is_wrong(campaign: Campai
 
 
 @pytest.mark.slow
-def test_what_the_others_say_is_not_lost_in_the_noise_of_z(campaign: Campaign):
+def test_information_of_other_axes_is_not_lost_in_the_noise_of_z(campaign: Campaign):
     """Errors of the fit's parameters, by its own account and by those of the fit without that noise."""
     alike, deep = estimate_of(campaign), estimate_of(seen_deep(campaign, 2))
     told = alike.identified & deep.identified
@@ -72,7 +72,7 @@ def test_a_sag_that_the_model_lacks_is_no_noise(campaign: Campaign):
     assert sigma.max() < 1.1 * sigma.min()
 
 
-def test_isotropic_noise_is_taken_for_another_once_in_a_thousand(campaign: Campaign):
+def test_false_alarm_rate_of_anisotropic_noise(campaign: Campaign):
     rows, rng = estimate_of(campaign).problem.rows, np.random.default_rng(3)
     found = [relative_axes(rows, 5e-5 * rng.standard_normal((len(rows), 3))) for _ in range(1000)]
     assert sum(bool(np.any(r != 1.0)) for r in found) <= 5  # of a mean of 1, more in 0.06 % of all cases

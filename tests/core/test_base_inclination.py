@@ -62,7 +62,7 @@ def test_torques_follow_gravity_as_the_inclined_base_sees_it(
     assert np.allclose(inclined - level, inclination_torque(campaign, q) @ w, atol=1e-6 * np.abs(level).max())
 
 
-def test_a_log_tells_how_far_gravity_is_from_what_the_campaign_says(tmp_path: Path) -> None:
+def test_a_log_identifies_the_error_of_the_stated_gravity(tmp_path: Path) -> None:
     """The same log, its gravity stated 15 mrad off: roll and pitch are other by that; left out, it is found.
 
     To a tenth: it is the described weight that is inclined, and the robot's is some per cent off.

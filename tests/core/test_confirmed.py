@@ -10,7 +10,7 @@ import pytest
 from benches import bench_of, refits
 
 from clampid.diagnosis.confirmed import Confirmed, with_needed_only
-from clampid.diagnosis.pruning import behind
+from clampid.diagnosis.pruning import bic_gap
 from clampid.diagnosis.trial import Bench
 from clampid.diagnosis.tried import Tried
 from clampid.identification.fitted_stage import FittedStage
@@ -43,18 +43,18 @@ def bench(opened: ModelOnCampaign, start: FittedStage) -> Bench:
 
 def in_turn(bench: Bench, start: FittedStage, labels: Sequence[str]) -> list[Confirmed]:
     """Steps as if these had been confirmed one after the other."""
-    scores, steps, base, held = bench.scores(start, 0), list[Confirmed](), start, bench.held_out(start)
+    scores, steps, base, held_out = bench.scores(start, 0), list[Confirmed](), start, bench.held_out(start)
     for label in labels:
         best = next(s for s in scores.named if s.candidate.label == label and s.freedom)
         terms = list(best.candidate.terms)
         fitted = bench.refit([*base.model.terms, *terms], base, best.candidate.shapes)
         tried = Tried(best, scores, fitted, terms, bench.held_out(fitted), 0.001, 1.0, "")
-        steps.append(Confirmed(tried, base, held))
-        base, held = fitted, tried.held
+        steps.append(Confirmed(tried, base, held_out))
+        base, held_out = fitted, tried.held_out
     return steps
 
 
-def test_what_a_later_effect_explains_with_fewer_numbers_is_dropped(bench: Bench, start: FittedStage) -> None:
+def test_a_step_explained_by_a_later_effect_with_fewer_parameters_is_dropped(bench: Bench, start: FittedStage) -> None:
     steps, again = in_turn(bench, start, [CABLE, GEAR]), set[str]()
     kept = with_needed_only(bench, steps, again)
     assert [s.label for s in kept] == [GEAR]
@@ -64,17 +64,17 @@ def test_what_a_later_effect_explains_with_fewer_numbers_is_dropped(bench: Bench
     (gone,) = kept[0].refused
     assert gone["name"] == "dress_pack"
     assert gone["reason"] == f"it does not lower the held-out error once {GEAR} is in the model"
-    assert kept[0].tried.held.rms < 1.05 * steps[-1].tried.held.rms
+    assert kept[0].tried.held_out.rms < 1.05 * steps[-1].tried.held_out.rms
 
 
-def test_steps_between_are_fitted_again_without_what_was_dropped(bench: Bench, start: FittedStage) -> None:
+def test_steps_after_a_dropped_one_are_fitted_again(bench: Bench, start: FittedStage) -> None:
     steps = in_turn(bench, start, [CABLE, OTHER, GEAR])
     kept = with_needed_only(bench, steps, set())
     assert [s.label for s in kept] == [OTHER, GEAR]
     assert kept[0].before.rms == steps[0].before.rms
-    assert kept[1].before.rms == kept[0].tried.held.rms  # each on top of those before it
+    assert kept[1].before.rms == kept[0].tried.held_out.rms  # each on top of those before it
     assert not any(t.effect == "dress_pack" for t in kept[0].tried.fitted.model.terms)
-    assert kept[1].tried.held.rms < kept[0].tried.held.rms < kept[0].before.rms
+    assert kept[1].tried.held_out.rms < kept[0].tried.held_out.rms < kept[0].before.rms
 
 
 def test_what_is_needed_stays(bench: Bench, start: FittedStage) -> None:
@@ -95,12 +95,12 @@ def test_what_another_refines_stays(bench: Bench, start: FittedStage) -> None:
     assert [s.label for s in with_needed_only(tied, steps, set())] == [CABLE, GEAR]
 
 
-def test_what_needs_more_numbers_for_the_same_is_less_likely(bench: Bench, start: FittedStage) -> None:
+def test_more_parameters_for_the_same_fit_are_less_likely(bench: Bench, start: FittedStage) -> None:
     terms = [Term("gear_eccentricity", "joint2"), Term("gear_eccentricity", "joint5")]
     few = bench.refit([*start.model.terms, *terms], start, {})
     more = [*terms, Term("gear_eccentricity", "joint6")]
     many = bench.refit([*start.model.terms, *more], few, {})
-    less = behind([(few.estimate, terms), (many.estimate, more), (start.estimate, [])], few.estimate.noise)
+    less = bic_gap([(few.estimate, terms), (many.estimate, more), (start.estimate, [])], few.estimate.noise)
     numbers = sum(s.place == "joint6" and s.effect == "gear_eccentricity" for s in many.estimate.slots)
     assert less[0] == 0.0
     # By chance, numbers that are not there explain as much as there are of them, on average.

@@ -60,17 +60,17 @@ def test_folds_by_one_step_are_folds_refitted(simulated: Callable[..., Campaign]
     order = rows.shuffled_folds(3)
     part = dict(zip(order.tolist(), (np.arange(len(order)) % FOLDS).tolist(), strict=True))
     of_row = np.array([part[f] for f in rows.fold.tolist()])
-    held = estimate.problem.with_flanks(estimate.theta)
+    frozen = estimate.problem.with_flanks(estimate.theta)
     for k in range(FOLDS):
         keep, out = np.flatnonzero(of_row != k), np.flatnonzero(of_row == k)
         fitted = solve(
-            held.with_rows(held.rows.take(keep)),
+            frozen.with_rows(frozen.rows.take(keep)),
             estimate.theta,
             estimate.noise.at(keep),
             estimate.prior_precision,
             estimate.prior_mean,
         )
-        expected = held.with_rows(held.rows.take(out)).residual(fitted.theta)[0]
+        expected = frozen.with_rows(frozen.rows.take(out)).residual(fitted.theta)[0]
         off = (found[out] - expected) / estimate.noise.sigma[out]
         assert np.sqrt(np.mean(off**2)) < 0.02  # of the noise
 
@@ -84,21 +84,21 @@ def test_what_is_granted_to_the_model_is_no_evidence(simulated: Callable[..., Ca
     gear, balancer = (candidates[f"{name}@joint3"] for name in ("gear_eccentricity", "gravity_compensator"))
     own = columns_of(estimate, [balancer])
     np.testing.assert_allclose(own, balancer.columns.dense(len(own)))
-    granted = space.beside(own)
+    granted = space.granting(own)
     np.testing.assert_allclose(granted.basis.T @ granted.basis, np.eye(granted.basis.shape[1]), atol=1e-9)
     np.testing.assert_allclose(granted.basis.T @ granted.residual, 0.0, atol=1e-8 * space.scale * len(own))
     before, after = score(space, [gear, balancer]), score(granted, [gear, balancer])
     assert before[0].explained > 100.0
     assert after[1].state == "absorbed"
     assert after[0].explained < 0.1 * before[0].explained
-    both = score(space.beside(gear.columns.dense(len(own))), [balancer])[0]
+    both = score(space.granting(gear.columns.dense(len(own))), [balancer])[0]
     together = after[0].explained * granted.scale**2 + before[1].explained * space.scale**2
-    swapped = both.explained * space.beside(gear.columns.dense(len(own))).scale ** 2
+    swapped = both.explained * space.granting(gear.columns.dense(len(own))).scale ** 2
     assert swapped + before[0].explained * space.scale**2 == pytest.approx(together, rel=1e-6)  # in either order
-    assert space.beside(own[:, :0]) is space
+    assert space.granting(own[:, :0]) is space
 
 
-def test_what_needs_many_more_numbers_to_say_the_same_is_no_rival(simulated: Callable[..., Campaign]):
+def test_an_effect_with_many_more_parameters_is_no_rival(simulated: Callable[..., Campaign]):
     campaign = simulated(seed=7, poses=60, tables=("poses",))
     estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
     rows = len(estimate.whitened.residual)
@@ -171,7 +171,7 @@ def test_a_column_of_next_to_nothing_is_absent(simulated: Callable[..., Campaign
     assert score(space_of(estimate), [faint])[0].state == "absent"
 
 
-def test_what_would_raise_the_error_of_other_rows_is_refused_without_a_fit(simulated: Callable[..., Campaign]):
+def test_candidates_raising_the_held_out_error_are_refused_without_a_fit(simulated: Callable[..., Campaign]):
     """One of noise is not fitted; the true one is, from where a Gauss-Newton step leads."""
     campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
     model = identify(campaign, {"poses": ("geometry", "joint_compliance")})
@@ -184,16 +184,16 @@ def test_what_would_raise_the_error_of_other_rows_is_refused_without_a_fit(simul
         return fit(terms, last, start)
 
     bench = bench_of(opened, fitted, refit)
-    held, scores = bench.held_out(fitted), bench.scores(fitted, 0)
+    held_out, scores = bench.held_out(fitted), bench.scores(fitted, 0)
     able = [s for s in scores.named if s.freedom and s.state == "testable" and s.candidate.name == "gear_eccentricity"]
     false = [s for s in able if s.candidate.places == ("joint4",)]
-    refused, _ = bench.decided(replace(scores, named=false), fitted, held)
+    refused, _ = bench.decided(replace(scores, named=false), fitted, held_out)
     assert refused is None
     assert not starts
     (true,) = (s for s in able if s.candidate.places == ("joint2",))
-    tried, _ = bench.decided(replace(scores, named=[true]), fitted, held)
+    tried, _ = bench.decided(replace(scores, named=[true]), fitted, held_out)
     assert isinstance(tried, Tried)
-    assert tried.held.rms < held.rms
+    assert tried.held_out.rms < held_out.rms
     size = tried.fitted.estimate.problem.sizes()
     for slot in true.candidate.slots:
         found = tried.fitted.model.values()[slot]
@@ -225,23 +225,23 @@ def test_a_step_that_goes_uphill_is_not_believed(simulated: Callable[..., Campai
     assert not uphill.linear
 
 
-def test_look_alikes_of_which_none_lowers_the_error_of_other_rows_are_no_tie(simulated: Callable[..., Campaign]):
+def test_correlated_candidates_that_do_not_lower_the_held_out_error_are_no_tie(simulated: Callable[..., Campaign]):
     """They are refused with their sizes; a true one among them makes it a tie."""
     campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
     model = identify(campaign, {"poses": ("geometry", "joint_compliance")})
     opened = on_campaign(model, campaign)
     fitted = opened.refit("poses")
     bench = bench_of(opened, fitted, refits(opened))
-    held, scores = bench.held_out(fitted), bench.scores(fitted, 0)
+    held_out, scores = bench.held_out(fitted), bench.scores(fitted, 0)
     able = [s for s in scores.named if s.freedom and s.state == "testable" and s.candidate.name == "gear_eccentricity"]
     joints = {s.candidate.places: s for s in able}
     false = [joints["joint4",], joints["joint6",]]
-    refused = bench._undecided(false[0], false[1:], scores, fitted, held)
+    refused = bench._undecided(false[0], false[1:], scores, fitted, held_out)
     assert isinstance(refused, Tried)
     assert refused.reason
-    entry = refused.refusal(dict(opened.effects), held)
+    entry = refused.refusal(dict(opened.effects), held_out)
     assert entry["parameters"]
-    tie = bench._undecided(false[0], [joints["joint2",]], scores, fitted, held)
+    tie = bench._undecided(false[0], [joints["joint2",]], scores, fitted, held_out)
     assert isinstance(tie, Undecided)
 
 
@@ -251,6 +251,6 @@ def test_an_error_is_above_the_floor_only_where_that_is_no_chance(simulated: Cal
     campaign = simulated(seed=3, poses=60, tables=("poses",))
     opened = on_campaign(identify(campaign, {"poses": ("geometry", "joint_compliance")}), campaign)
     fitted = opened.refit("poses")
-    held = bench_of(opened, fitted, refits(opened)).held_out(fitted)
-    floor = replace(held.floor, sigma=np.full(3, held.rms / times / 3**0.5), source="replicates", freedom=30)
-    assert above_the_floor(replace(held, floor=floor), CLEARLY) == (times > 1.4)
+    held_out = bench_of(opened, fitted, refits(opened)).held_out(fitted)
+    floor = replace(held_out.floor, sigma=np.full(3, held_out.rms / times / 3**0.5), source="replicates", freedom=30)
+    assert above_the_floor(replace(held_out, floor=floor), CLEARLY) == (times > 1.4)

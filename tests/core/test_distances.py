@@ -212,7 +212,7 @@ def test_derivatives_are_differences(simulated: Simulated):
     assert of == {"geometry", "joint_compliance", "backlash", "thermal_expansion"}  # their scale is another's
 
 
-def test_what_one_anchor_on_the_first_axis_cannot_determine_is_named():
+def test_directions_undetermined_by_one_anchor_on_the_first_axis_are_named():
     """From a point on joint 1's axis nothing shows how far joint 1 has turned."""
     axis = {"A1": [0.0, 0.0, -0.2]}
     campaign = measured(4, 150, ("A1",))

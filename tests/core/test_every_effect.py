@@ -163,7 +163,7 @@ def test_derivative_is_the_difference(name: str, stage: Stage, few_rows: dict[St
     lengths = np.abs(jacobian * size).max(axis=(0, 1))
     for k in range(own):
         slot = trial.slots[k]
-        if stage == "poses" and trial.effects[slot.effect].by_name[slot.parameter].held == "everywhere":
+        if stage == "poses" and trial.effects[slot.effect].by_name[slot.parameter].fixed == "everywhere":
             continue  # no derivative is asked for by what no fit changes
         fine = 1e-5 if trial.shapes()[k] else 1e-3  # shapes are not linear: a phase acts 48 times per turn
         share = 1e-6 if stage == "clamped" else fine

@@ -51,7 +51,7 @@ def test_evidence_of_any_size_is_the_mean_over_sizes():
 
 @settings(max_examples=50, deadline=None)
 @given(told=st.floats(1e-1, 1e5), z=st.floats(3.0, 30.0), idle=st.integers(1, 30))
-def test_numbers_that_rows_do_not_determine_cost_nothing(told: float, z: float, idle: int):
+def test_undetermined_parameters_have_no_bic_cost(told: float, z: float, idle: int):
     """A fixed charge for each number would let one wrong number stand before several right ones."""
     alone = of_any_size(np.array([told]), np.array([z]))
     beside = of_any_size(np.r_[told, np.full(idle, 1e-12)], np.r_[z, np.zeros(idle)])

@@ -88,7 +88,7 @@ def test_few_rows_of_a_robot_without_fault_are_no_unknown_effect(arm: Campaign, 
     found = diagnose(model, few).stages["poses"]
     assert found.after > FAR_OFF * found.noise_floor
     assert found.verdict == "adequate"
-    assert found.above is not None
+    assert found.floor_excess is not None
     assert "the poses are few" in found.summary
 
 

@@ -70,7 +70,7 @@ def test_friction_of_a_motor_is_not_shared(joint: Model):
     assert value(joint, "free_air", label) != value(joint, "clamped", label)
 
 
-def test_nothing_is_known_less_well_than_stage_by_stage(apart: Model, joint: Model):
+def test_joint_fit_has_no_larger_standard_errors_than_stagewise(apart: Model, joint: Model):
     for label, stages in shared_of(joint):
         for stage in stages.split(","):
             assert value(joint, stage, label)[1] <= 1.05 * value(apart, stage, label)[1], (label, stage)

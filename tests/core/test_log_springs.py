@@ -117,7 +117,7 @@ def test_rows_and_windows_give_the_same():
     assert np.sqrt(np.mean((one - other) ** 2)) < 0.3 * np.sqrt(np.mean(other**2))
 
 
-def test_where_nothing_is_known_to_weigh_anything_there_is_no_such_thing():
+def test_no_spring_slope_without_masses():
     robot = load_robot(HEAVY)
     assert not robot.has_masses
     campaign = replace(measured_campaign(measured(HEAVY), robot), tool=Tool(0.0, np.zeros(3)))

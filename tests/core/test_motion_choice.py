@@ -126,7 +126,7 @@ def test_dynamics_of_a_real_arm(way: str) -> None:
     assert np.all(found > np.array(BAR) - [missed.get(k, 0.0) for k in range(len(BAR))]), found
 
 
-def test_what_one_fold_alone_shows_is_not_rounding_of_the_others() -> None:
+def test_columns_of_a_single_fold_are_not_rounding_errors() -> None:
     """Three columns are next to nothing but in one fold, as of joints that move once; the rest predicts that fold."""
     rng = np.random.default_rng(3)
     block = np.repeat(np.arange(BLOCKS), 40)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.diagnosis.held_out import held_out
+from clampid.diagnosis.held_out import held_out_of
 from clampid.diagnosis.linear_refit import linear_refit
 from clampid.diagnosis.next_measurement import ENOUGH, SAME, NextPlan
 from clampid.diagnosis.next_plan import parting_plan, showing_plan
@@ -72,7 +72,7 @@ def _weak(estimate: Estimate, s: Scored, share: float | None = None) -> list[Wea
     return out
 
 
-def test_a_signal_shows_in_the_measurements_in_which_the_model_does_not_follow_it():
+def test_chosen_measurements_show_a_signal_that_the_model_cannot_absorb():
     rng = np.random.default_rng(0)
     J, pool_J = rng.standard_normal((60, 3)), rng.standard_normal((30, 4, 3))
     y, pool_y = (X @ np.array([1.0, -2.0, 0.5]) for X in (J, pool_J))  # the model follows it
@@ -88,7 +88,7 @@ def test_a_signal_shows_in_the_measurements_in_which_the_model_does_not_follow_i
     assert found.after[0] == pytest.approx(left, rel=1e-6)
 
 
-def test_pairs_that_nothing_parts_do_not_keep_others_from_being_parted():
+def test_inseparable_pairs_do_not_prevent_a_plan_for_others():
     rng = np.random.default_rng(1)
     J, a = rng.standard_normal((80, 3)), rng.standard_normal((80, 1))
     pool_J, pool_a = rng.standard_normal((40, 3, 3)), rng.standard_normal((40, 3, 1))
@@ -185,7 +185,7 @@ def test_sweeps_show_a_spring_that_hardens(tmp_path: Path):
     assert found.gains[0].after == pytest.approx(after, rel=0.5)
 
 
-def test_what_else_would_tell_is_worked_out_from_where_effects_act():
+def test_separating_measurement_follows_from_stations_of_the_effects():
     effects = catalogue()
     assert "base plate" in something_else(("base_tilt", "bearing_tilt"), effects, "poses")
     assert "base plate" in something_else(("base_creep", "warm_up_expansion"), effects, "poses")
@@ -195,7 +195,7 @@ def test_what_else_would_tell_is_worked_out_from_where_effects_act():
     assert "either may be added" in alike
 
 
-def test_what_an_alternative_would_bring_is_what_its_fit_brings(simulated: Callable[..., Campaign]):
+def test_predicted_held_out_error_of_an_alternative_equals_its_fit(simulated: Callable[..., Campaign]):
     campaign = simulated(seed=7, poses=60, tables=("poses",))
     opened = on_campaign(identify(campaign), campaign)
     fitted = opened.refit("poses")
@@ -209,7 +209,7 @@ def test_what_an_alternative_would_bring_is_what_its_fit_brings(simulated: Calla
     terms, values = [*fitted.model.terms, *s.candidate.terms], fitted.model.values()
     model = opened.stages["poses"]
     whole = fit_stage(rows, opened.effects, terms, model.carried_prior or {}, values, opened.held_out("poses"))
-    before, said, found = (held_out(e, None, floor, 0).rms for e in (estimate, along, whole.estimate))
+    before, said, found = (held_out_of(e, None, floor, 0).rms for e in (estimate, along, whole.estimate))
     assert found < 0.8 * before
     assert said == pytest.approx(found, rel=0.05)
 

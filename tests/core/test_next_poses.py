@@ -52,7 +52,7 @@ def test_evidence_is_what_a_refit_of_the_other_leaves(seed: int):
     assert found.after >= found.before
 
 
-def test_the_measurements_in_which_look_alikes_differ_are_chosen():
+def test_measurements_that_distinguish_candidates_are_chosen():
     rng = np.random.default_rng(0)
     J, a = rng.standard_normal((80, 3)), rng.standard_normal((80, 1))
     pool_J, pool_a = rng.standard_normal((40, 3, 3)), rng.standard_normal((40, 3, 1))
@@ -87,7 +87,7 @@ def test_poses_part_an_eccentric_gear_from_a_wrong_ratio(simulated: Callable[...
         np.testing.assert_array_equal(np.sign(visit.q - visit.via), found.direction[k])
 
 
-def test_none_where_there_is_nothing_to_part(simulated: Callable[..., Campaign]):
+def test_no_plan_without_candidates_to_distinguish(simulated: Callable[..., Campaign]):
     campaign = simulated(seed=7, poses=60, tables=("poses",))
     estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
     assert next_poses(campaign, estimate, [], 1.0, seed=0) is None

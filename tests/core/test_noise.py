@@ -316,7 +316,7 @@ def test_a_wide_candidate_does_not_hide_a_narrow_one():
     assert null.p_familywise(scored[1].log_p) > 0.05
 
 
-def test_what_explains_much_by_chance_does_not_stand_before_what_stands_out():
+def test_insignificant_candidates_rank_after_significant_ones():
     """Ten times the noise in a few units: what acts there explains much of it, and its own flips do so, too."""
     rng = np.random.default_rng(11)
     unit = np.repeat(np.arange(100), 4)

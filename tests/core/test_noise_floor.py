@@ -53,7 +53,7 @@ def test_check_and_the_floor_say_the_same(base: Campaign, count: int) -> None:
     assert said.endswith("give the noise floor")
 
 
-def test_what_does_not_return_in_the_same_way_does_not_count() -> None:
+def test_returns_with_another_approach_do_not_count() -> None:
     place = np.zeros((6, 1))
     visit = np.array([1, 1, 2, 3, 4, 5])
     direction = np.array([[1.0], [1.0], [1.0], [-1.0], [0.0], [1.0]])

@@ -118,7 +118,7 @@ def test_the_lean_is_kept_in_the_file_and_in_commands(tmp_path: Path) -> None:
     assert np.any(np.sign(found) != poses.flanks(rows, level, theta))
 
 
-def test_a_pattern_of_flanks_is_fitted_as_if_it_were_held() -> None:
+def test_fit_with_a_flank_pattern_equals_fit_with_frozen_flanks() -> None:
     """Sums over visits lead where the normal equations of all parameters lead, written down with the pattern held."""
     campaign = leaning(3, 0.0)
     estimate = on_campaign(identify(campaign, {"poses": EFFECTS}), campaign).refit("poses").estimate

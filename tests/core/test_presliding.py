@@ -77,7 +77,7 @@ def test_recurrence_in_blocks_is_the_recurrence(count: int, seed: int):
     np.testing.assert_allclose(recurrence(decay, gain), expected, rtol=1e-12, atol=1e-12)
 
 
-def test_runs_know_nothing_of_each_other():
+def test_friction_state_of_a_run_ignores_other_runs():
     turned = np.array([0.0, 1.0, 1.0, 5.0, 0.0])[:, None]
     z = dry_states(turned, np.arange(5.0), np.array([0, 0, 0, 1, 1]))
     np.testing.assert_array_equal(z[3:], 0.0)

@@ -72,7 +72,7 @@ def test_outside_a_third_of_joint_2_it_says_so(whole: Campaign, model: Model):
     assert f"{np.rad2deg(inside.max()):.1f} deg; gravity torque " in text
 
 
-def test_inside_it_says_nothing(third: Campaign, model: Model):
+def test_no_warning_inside_the_fitted_range(third: Campaign, model: Model):
     found = compare(model, third).tables["poses"]["extrapolating"]
     assert {**NOTHING, "of": found["of"]} == found
     assert found["of"] > 0

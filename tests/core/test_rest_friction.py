@@ -55,7 +55,7 @@ def test_a_fit_again_holds_the_frictions_where_they_were(monkeypatch: pytest.Mon
     np.testing.assert_allclose(found.theta, stage.theta, atol=0.1 * stage.std.max(), rtol=0.1)
 
 
-def test_a_profile_is_what_fits_with_the_friction_held_there():
+def test_friction_profile_equals_fits_with_the_friction_fixed():
     """To first order: linear in all but the product of friction and compliance, so near the fit."""
     campaign, model = robot_and_model()
     estimate = on_campaign(model, campaign).refit("poses").estimate
@@ -77,7 +77,7 @@ def test_a_profile_is_what_fits_with_the_friction_held_there():
     assert profile.cost[at] - profile.cost[best] == pytest.approx(lost, rel=0.1, abs=3.0)
 
 
-def test_what_a_held_friction_may_be_is_no_evidence(simulated):
+def test_prior_width_of_a_fixed_friction_is_not_counted_as_evidence(simulated):
     """Its column is the fit's own to the score test, although the search held it."""
     campaign = simulated(seed=2, poses=150, tables=("free_air", "wrist", "poses"))
     estimate = on_campaign(identify([campaign]), campaign).refit("poses").estimate

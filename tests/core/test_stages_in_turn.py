@@ -55,7 +55,7 @@ def test_what_is_added_has_one_value(mended: tuple[Model, Diagnosis]):
 
 
 @pytest.mark.slow
-def test_poses_alone_know_nothing_of_the_log(campaign: Campaign, mended: tuple[Model, Diagnosis]):
+def test_poses_alone_do_not_find_the_balancer_of_the_log(campaign: Campaign, mended: tuple[Model, Diagnosis]):
     """Asked for the poses only, of a model without it, they call what they see by the name that they have."""
     poses = diagnose(identify(campaign), campaign, stages=["poses"]).stages["poses"]
     assert BALANCER not in {c["effect"] for c in poses.candidates}

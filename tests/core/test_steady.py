@@ -43,7 +43,7 @@ def test_parted_derivatives_are_those_of_one_function(tiny: Campaign, curve: str
             np.testing.assert_allclose(held[name], other[name], rtol=1e-12, atol=1e-12)
 
 
-def test_other_rows_and_other_held_parameters_are_not_taken_for_those_before(tiny: Campaign):
+def test_cached_fit_is_not_reused_for_other_rows_or_fixed_parameters(tiny: Campaign):
     trial = arm(tiny, "geometry", "joint_angle_curve")
     rng = np.random.default_rng(6)
     theta = trial.start() + 0.1 * trial.sizes() * rng.normal(size=len(trial.sizes()))

@@ -210,7 +210,7 @@ def test_urdf_says_what_it_leaves_and_stays_xml(make_model: Make) -> None:
     assert found.left.error.position_rms == pytest.approx(table.left.error.position_rms, rel=1e-6)
 
 
-def test_what_it_alone_leaves_of_measured_points(make_model: Make) -> None:
+def test_residual_of_measured_points_by_one_form_alone(make_model: Make) -> None:
     """Points where the static chain has them, but for 2 mm: the table leaves just these."""
     model = make_model(ROBOT, size=1e-4)
     robot, target = load_robot(ROBOT), np.array([0.1, 0.0, 0.2])

@@ -32,7 +32,7 @@ def loose(make_model) -> tuple[Model, int, int]:
     return model.with_stage(replace(stage, theta=theta, covariance=covariance)), a, b
 
 
-def test_what_is_not_determined_is_held_and_what_is_known_stays(loose):
+def test_undetermined_numbers_are_fixed_and_known_ones_kept(loose):
     model, a, b = loose
     fixed = fix_undetermined(model)
     assert fixed.combinations == ("base_y@session1, flange_y@session1",)
@@ -51,7 +51,7 @@ def test_a_determined_model_is_left_alone(make_model):
     assert set(dh_table(model, "hayati")[NOT_DETERMINED]) == {""}
 
 
-def test_the_table_says_what_is_held_and_has_no_standard_error_of_it(loose):
+def test_table_marks_fixed_numbers_without_standard_error(loose):
     found = dh_export(loose[0], "hayati", fit="static")
     for _, row in found.table.iterrows():
         open_ = row[NOT_DETERMINED].split()

@@ -67,7 +67,7 @@ def test_inside_nothing_is_said_and_nothing_changes(detector: Detector, cell_fil
 
 @pytest.mark.slow
 @pytest.mark.parametrize("branch", ["nearest", "all"])
-def test_an_angle_beyond_is_said(detector: Detector, cell_file: Path, branch: str) -> None:
+def test_an_angle_outside_the_fitted_range_is_reported(detector: Detector, cell_file: Path, branch: str) -> None:
     q = detector.locate(*HERE).solutions[0].q
     beyond = opened(within(0, 1, q[1] - 1.0, q[1] - 0.1), cell_file)
     first = beyond.locate(*HERE, branch=branch).solutions[0]

@@ -125,7 +125,7 @@ def test_a_reflection_that_does_not_fit_is_named(wrong: int) -> None:
     assert np.allclose(got.std, right.std * got.misfit, rtol=0.02)
 
 
-def test_with_one_reflection_to_spare_nobody_can_tell_which_is_wrong() -> None:
+def test_one_redundant_reflection_does_not_identify_the_wrong_one() -> None:
     points, angles = rays(PLACES[:4], np.array(CONVENTION.sample))
     angles[2] += 40 * SIGMA
     got = sample_position(CONVENTION, [Reflection(p, a, SIGMA) for p, a in zip(points, angles, strict=True)])
@@ -142,7 +142,7 @@ def test_a_direction_that_is_not_determined_is_said_and_kept() -> None:
     sample = np.add(CONVENTION.sample, (2e-3, -1e-3, 0.0))
     points, angles = rays([(g, 0.0, 0.8) for g in (0.3, 0.6, -0.4, 0.9)], sample)
     got = sample_position(CONVENTION, [Reflection(p, a, SIGMA) for p, a in zip(points, angles, strict=True)])
-    assert np.allclose(np.abs(got.not_told), [[0.0, 0.0, 1.0]], atol=1e-3)
+    assert np.allclose(np.abs(got.undetermined), [[0.0, 0.0, 1.0]], atol=1e-3)
     assert np.allclose(got.sample, sample, atol=1e-8)
     assert got.freedom == 2
     assert got.std[2] > 1e-2

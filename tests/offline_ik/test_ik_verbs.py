@@ -102,7 +102,7 @@ def test_ik_says_how_far_off_in_every_direction_and_what_of_the_way_was_checked(
     assert path["checked"] == "way"
 
 
-def test_ik_says_what_the_model_makes_nothing_of(cell_file: Path, tmp_path: Path) -> None:
+def test_ik_reports_inputs_unused_by_the_model(cell_file: Path, tmp_path: Path) -> None:
     model, out = tmp_path / "cold.json", tmp_path / "ik.json"
     save_model(drawn_model(effects=("geometry",)), model)
     done = run("ik", model, *PLACE, "--cell", cell_file, "--json", out)

@@ -235,7 +235,7 @@ def test_temperatures_change_answers_for_all(speaker: Speaker) -> None:
     assert 1e-7 < np.abs(np.subtract(before, after)).max() < 1e-2
 
 
-def test_a_temperature_that_the_model_makes_nothing_of_is_said(speaker: Speaker, detector: Detector) -> None:
+def test_a_temperature_unused_by_the_model_is_reported(speaker: Speaker, detector: Detector) -> None:
     told = say(speaker, "temperature motor=45,45,45,45,45,45")
     assert told["notes"] == ["the model has no effect of the motor temperatures: they change nothing"]
     assert say(speaker, "state")["notes"] == told["notes"]

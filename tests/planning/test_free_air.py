@@ -51,7 +51,7 @@ def test_it_tells_more_than_random_stops_in_the_same_time(free_air: Plan, cell: 
     prior = prior_precision(bench.problem) * size
 
     def value(plans: list) -> float:
-        return log_det(prior + sum(t.information.sum(axis=0) * size for t in bench.tell(plans)))
+        return log_det(prior + sum(t.information.sum(axis=0) * size for t in bench.evaluate(plans)))
 
     planned = value([run.course for run in free_air.runs])
     pool = configurations(limits, 100, Scene.floor_only(cell).clear, 5)
@@ -96,7 +96,7 @@ def test_what_cannot_be_known_is_said(free_air: Plan) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_asked_decides_what_is_told(cell: Cell, limits: Limits) -> None:
+def test_wanted_effects_decide_the_information_of_the_plan(cell: Cell, limits: Limits) -> None:
     noise, _ = torque_noise_of(cell, 0.02, None)
     plan = plan_free_air(
         cell, limits, noise, LogWishes(time=120.0, effects=("coulomb_friction@joint2", "viscous_friction@joint2"))

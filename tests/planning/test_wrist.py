@@ -39,7 +39,7 @@ def swings(plan: Plan) -> list[tuple[np.ndarray, np.ndarray]]:
     return found
 
 
-def test_what_stands_still_does_so_when_pushed_through_T(wrist: Plan) -> None:
+def test_joints_at_rest_stay_at_rest_through_the_transmission(wrist: Plan) -> None:
     gears = Transmission(np.asarray(wrist.cell.robot.transmission))
     seen = set()
     for run in wrist.runs:

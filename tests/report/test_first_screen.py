@@ -54,7 +54,7 @@ def test_what_is_missing_still_is_open() -> None:
     assert screen.open == ("Gear eccentricity at joint 2 is not in the model yet.",)
 
 
-def test_what_another_effect_took_the_place_of_is_not_called_missing() -> None:
+def test_a_superseded_effect_is_not_called_missing() -> None:
     mended = a_model("joint_angle_curve@joint1", "bearing_tilt@joint4", held_out=(3e-4, 1.1e-4, 1e-4))
     stage = replace(
         mended.stages["poses"], terms=(Term("geometry"), Term("bearing_tilt", "joint4"), Term("shared_angle_curve"))

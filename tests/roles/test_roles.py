@@ -69,7 +69,7 @@ def test_role_or_axis_that_does_not_exist_is_refused() -> None:
         Parameter("m", "kg m", 1.0, role="first_moment", axis="rx")
 
 
-def test_weight_of_links_and_of_the_tool_are_told_by_their_places() -> None:
+def test_weights_of_links_and_tool_are_distinguished_by_their_places() -> None:
     assert [s.label for s in weight_slots("link2")] == [f"gravity.{m}@link2" for m in ("m", "mx", "my", "mz")]
     assert [s.label for s in weight_slots("tool")] == [f"payload.{m}@tool" for m in ("m", "mx", "my", "mz")]
     assert has_role(slot_of("mass", "link2"), "mass", per="link")

@@ -97,7 +97,7 @@ def test_a_tooth_is_local():
     assert truth["height"] == pytest.approx(8e-4)
 
 
-def test_what_a_refit_absorbs_does_not_count_beyond_the_standard():
+def test_errors_absorbed_by_a_refit_do_not_count_beyond_the_standard():
     small = {"program": "few", "noise": "white", "seed": 3, "beyond_standard": True}
     assert size_in_sigma(ROBOT, [("joint_compliance", "joint2", 1.0)], **small)["poses"] < 0.05
     assert size_in_sigma(ROBOT, [("payload", None, 1.0)], tables=("free_air",), **small)["free_air"] < 0.02

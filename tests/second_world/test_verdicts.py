@@ -101,7 +101,7 @@ def test_a_log_that_is_accelerated_nearly_everywhere_has_inertia_from_the_start(
 
 
 @pytest.mark.slow
-def test_a_name_that_was_refused_does_not_stand_before_what_the_other_rows_confirm(tmp_path):
+def test_a_refused_name_does_not_block_a_confirmed_one(tmp_path):
     """Rotors explain more of the fitted rows and nothing of others; an offset that follows warmth does both."""
     robot = draw_robot("seven7", 41, mounting="ceiling")
     session = {"log": "two_warmths", "noise": "stereo", "seed": 41}

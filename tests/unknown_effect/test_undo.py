@@ -139,7 +139,7 @@ def test_a_diagnosis_of_an_earlier_version_names_no_shift_and_is_reported():
     assert exported([old])[0].rows == (("2", "theta_offset", "200 ± 50 µrad", "not known"),)
 
 
-def test_what_one_of_both_fits_does_not_determine_has_no_shift(arm: Campaign):
+def test_no_shift_of_a_parameter_undetermined_in_one_fit(arm: Campaign):
     slots = [Slot("geometry", name, "base") for name in ("base_x", "base_y", "base_z")]
     problem = SimpleNamespace(effects=catalogue(), rows=SimpleNamespace(robot=arm.robot))
 

@@ -143,7 +143,7 @@ def test_wrist_runs_turn_motors_and_joints_apart(clean, robot):
     assert joint_only >= 4
 
 
-def test_held_motors_keep_their_friction_through_the_wrist_runs(clean, plant):
+def test_motors_at_rest_keep_their_friction_through_the_wrist_runs(clean, plant):
     truth = clean.truth.noise_free["wrist"]
     runs = clean.tables["wrist"]["run"].to_numpy()
     # Motor 1 stands still throughout, and so does its dry friction; the inertia of the wrist is small beside it.

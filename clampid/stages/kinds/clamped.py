@@ -1,4 +1,4 @@
-"""Clamped sweeps: motor torques while springs wind up against a held flange."""
+"""Clamped sweeps: motor torques while springs wind up against a clamped flange."""
 
 from __future__ import annotations
 

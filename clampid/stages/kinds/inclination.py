@@ -4,9 +4,9 @@ Of one body of one session, R(k) its rotation in the base frame at row k, R_0 th
 
     w(k) = log(R(k) R_0' exp(o)),   about_x = w_x,   about_y = w_y
 
-The constant o ``(3,)``, rad, one for each body and session, is by what the first row itself is off; nobody knows it.
-R(k) is the product of exponentials of :mod:`clampid.stages.pose_kernel` without positions. All effects of the poses act
-here that turn base, joints or links.
+The constant o ``(3,)``, rad, one for each body and session, is the unknown error of the first row. R(k) is the product
+of exponentials of :mod:`clampid.stages.pose_kernel` without positions. All effects of the poses that turn base, joints
+or links act here.
 """
 
 from __future__ import annotations
@@ -208,7 +208,7 @@ STAGE = StageKind(
     loads="rest",
     effects_of="poses",
     error_unit="sigma",
-    offset_size=1e-3,  # rad: by what the first row is off
+    offset_size=1e-3,  # rad: error of the first row
     spring_start=0.1,
     rows=_rows,
     residual=_residual,

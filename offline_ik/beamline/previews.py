@@ -12,7 +12,7 @@ from clampid.plain_json import finite
 from offline_ik.errors import TargetError
 from offline_ik.exchange.asked import sides_of, simulation_of
 from offline_ik.exchange.requests import RequestError, number, numbers, switch
-from offline_ik.exchange.session import Later, Session, Told
+from offline_ik.exchange.session import Later, Reply, Session
 from offline_ik.motion.picture import picture_of
 from offline_ik.reflections.place import place_of
 from offline_ik.reflections.seen import check_pixels, pixel_of, poni_text
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from offline_ik.inverse.detector import Detector
     from offline_ik.server.protocol import Speaker
 
-__all__ = ["LOOKING"]
+__all__ = ["PREVIEWS"]
 
 Array = npt.NDArray[np.float64]
 Given = Mapping[str, str]
@@ -45,10 +45,10 @@ def _simulate(speaker: Speaker, given: Given, session: Session) -> Later:
             data["picture"] = picture_of(found)
         return data, found.ways.answer
 
-    return Later(work, lambda found: speaker.told_of(*found))
+    return Later(work, lambda found: speaker.reply_of(*found))
 
 
-def _pixel(speaker: Speaker, given: Given, session: Session) -> Told | Later:
+def _pixel(speaker: Speaker, given: Given, session: Session) -> Reply | Later:
     """Which direction a pixel sees, at a detector position, a posture, or where the linked robot is."""
     pixel, asked = (number(given, "i"), number(given, "j")), [k for k in ("gamma", "delta", "r") if k in given]
     q, near = numbers(given, "q"), numbers(given, "near")
@@ -60,7 +60,7 @@ def _pixel(speaker: Speaker, given: Given, session: Session) -> Told | Later:
     if "wavelength" in given and not SHORTEST <= wavelength <= LONGEST:
         raise TargetError(f"wavelength: expected metres from {SHORTEST:g} to {LONGEST:g}, found {wavelength:g}")
 
-    def told(detector: Detector, pose: Array, covariance: Array) -> dict[str, Any]:
+    def members(detector: Detector, pose: Array, covariance: Array) -> dict[str, Any]:
         seen = pixel_of(detector, pose, covariance, pixel, pixels)
         data: dict[str, Any] = {"pixel": list(pixel), "pixels": list(pixels), "sees": seen.to_json()}
         if poni:
@@ -72,18 +72,18 @@ def _pixel(speaker: Speaker, given: Given, session: Session) -> Told | Later:
         there = detector.check_posture(speaker.posture(session, "q") if q is None else q, "q")
         place = place_of(detector, there, near)
         frames = detector.framing(detector.to_base(place.pose), there)
-        data = told(detector, place.pose, place.uncertainty.covariance)
-        return Told({**data, "q_rad": there.tolist(), **frames, "convention": speaker.convention})
+        data = members(detector, place.pose, place.uncertainty.covariance)
+        return Reply({**data, "q_rad": there.tolist(), **frames, "convention": speaker.convention})
     gamma, delta, r, roll = (number(given, name, default) for name, default in POSITION)
 
     def work(detector: Detector) -> tuple[dict[str, Any], Answer]:
         answer = detector.locate(gamma, delta, r, roll, near=near, direction=None if near is None else "moved")
         if not answer.reachable:
             return {}, answer
-        return told(detector, answer.target, answer.solutions[0].uncertainty.covariance), answer
+        return members(detector, answer.target, answer.solutions[0].uncertainty.covariance), answer
 
-    return Later(work, lambda found: speaker.told_of(*found))
+    return Later(work, lambda found: speaker.reply_of(*found))
 
 
-LOOKING: Mapping[str, Callable[[Speaker, Given, Session], Told | Later]] = {"simulate": _simulate, "pixel": _pixel}
+PREVIEWS: Mapping[str, Callable[[Speaker, Given, Session], Reply | Later]] = {"simulate": _simulate, "pixel": _pixel}
 """What answers these requests."""

@@ -1,14 +1,13 @@
-"""What friction held motors kept: past the clearances that a search of a clamped arm cannot cross.
+"""Friction of motors at rest in clamped sweeps: other local minima, in which a clearance is crossed in other rows.
 
-The torque of a held motor is its gear's and the friction that it kept. Where a block that yields changes the torques of
-held joints, it is this friction that decides whether a joint's clearance is crossed, and in which rows. A motor that
-has moved since the arm was clamped keeps what its last motion left. Of another it may be anything between the limits,
-and a search ends at one of several answers: the next is beyond rows that would have to enter or leave a clearance all
-at once, and costs more on the way. So a few frictions are tried at every such motor, which let the clearance be crossed
-in other rows, or in none, each with the angles at which the arm would then have been clamped. They are separated by
-their evidence, not by their cost: an answer in which a clearance is crossed leaves the friction hardly any room, and
-among many such one would fit better by chance. Source: Laplace's approximation, as in MacKay, Bayesian interpolation,
-Neural Computation 4, 1992.
+The torque of a motor at rest is its gear's torque plus the friction that it kept. If the clamping block yields, torques
+of joints at rest change, and this friction decides in which rows a joint's clearance is crossed. A motor that has moved
+since the arm was clamped keeps the friction of its last motion. The friction of any other motor lies anywhere between
+its limits, and the cost has several local minima: to reach the next one, several rows would have to enter or leave a
+clearance at once. So a few frictions are tried at each such motor. Each lets the clearance be crossed in other rows or
+in none, and has its own clamped angles. The minima are compared by their evidence, not by their cost: a crossing leaves
+the friction hardly any freedom, and one of many would fit better by chance. Source: Laplace's approximation, as in
+MacKay, Bayesian interpolation, Neural Computation 4, 1992.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ CENTRING = 5
 
 @dataclass(frozen=True)
 class _Sweeps:
-    """Sweeps of a clamped arm with all but their own constants ``(K,)`` held.
+    """Sweeps of a clamped arm with all parameters fixed but their own constants ``(K,)``.
 
     Attributes
     ----------
@@ -156,7 +155,7 @@ def other_crossings(problem: FitProblem, noise: Noise, theta: Array, precision: 
 
 
 def _live(problem: FitProblem, theta: Array) -> Bools:
-    """Held motors ``(sweeps, n)`` whose joint's torque the model, its clearances closed, lets change tellably."""
+    """Motors at rest ``(sweeps, n)`` whose joint torque changes by more than noise in the model without clearances."""
     rows, n, count = problem.rows, problem.rows.robot.n, len(problem.slots)
     keys, run = rows.series.offset_keys, rows.series.run
     angle, _ = standing_angles(rows, problem.chain, theta[:count], np.zeros((len(rows), n)))
@@ -205,7 +204,7 @@ def _tried(sweeps: _Sweeps, own: Array, motor: int, stands: Sequence[list[int]])
     """
     table = _Table.of(sweeps, own, motor)
     n, count = sweeps.rows.robot.n, len(sweeps.clamping)
-    limit = LARGEST_KEPT_FRICTION * sweeps.rows.sweep.held_friction[motor]
+    limit = LARGEST_KEPT_FRICTION * sweeps.rows.sweep.loop_friction[motor]
     levels = [[c for c in table.changes(stand) if abs(table.kept[stand[0]] + c) < limit] for stand in stands]
     found: list[list[tuple[float, tuple[bool, ...], float, Array]]] = [[] for _ in stands]
     for k in range(max(map(len, levels), default=0)):
@@ -239,9 +238,9 @@ def _tried(sweeps: _Sweeps, own: Array, motor: int, stands: Sequence[list[int]])
 
 @dataclass(frozen=True)
 class _Table:
-    """What the measured torques say of the balance of angles if one held motor had kept another friction.
+    """The balance of angles that measured torques imply if one motor at rest had kept another friction.
 
-    A torque near zero may be of either sign, so that it asks for nothing between the two flanks.
+    A torque near zero may have either sign, so it requires no angle between the two flanks.
     """
 
     sweeps: _Sweeps

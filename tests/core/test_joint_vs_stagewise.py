@@ -32,7 +32,7 @@ def both(seed: int, shift: float = 0.0) -> tuple[StageModel, StageModel]:
     return stage_of(alone, spreads[0]), stage_of(together @ (A @ alone + B @ others), together)
 
 
-def test_stages_that_agree_are_called_different_as_rarely_as_it_says():
+def test_false_alarm_rate_of_stage_contradictions():
     alarms = np.mean([bool(joint_fit_disagreements(*both(seed), SLOTS)) for seed in range(1000)])
     assert alarms < 0.065  # 5 %, less where a variance counts as more than it is; binomial error 0.7 %
     assert alarms > 0.005

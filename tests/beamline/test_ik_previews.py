@@ -14,12 +14,12 @@ from clampid.verbs.units import Units
 from offline_ik.errors import DetectorError
 from offline_ik.inverse.detector import Detector
 from offline_ik.motion.simulation import Position, simulate_move
-from offline_ik.verbs.looking import Look, looked
+from offline_ik.verbs.previews import Preview, previewed
 
 PLACE = ["--gamma", "0.35", "--delta", "0.2", "--r", "0.8", "--near", "0.1,-1.2,1.2,0.1,0.4,0"]
 
 
-def test_ik_looks(model_file: Path, cell_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ik_previews(model_file: Path, cell_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CLAMPID_COMPILER", "none")  # the verb asks for it in its process, which is this one
     svg, poni, out = tmp_path / "move.svg", tmp_path / "detector.poni", tmp_path / "ik.json"
     wanted = ["--picture", str(svg), "--poni", str(poni), "--pixel", "256.5,514.5", "--json", str(out)]
@@ -45,4 +45,4 @@ def test_ik_looks(model_file: Path, cell_file: Path, tmp_path: Path, monkeypatch
 def test_what_cannot_be_meant_is_refused(pixel: str, pixels: str | None, says: str, detector: Detector) -> None:
     found = simulate_move(detector, Position(0.35, 0.2, 0.8))
     with pytest.raises(DetectorError, match=says):
-        looked(detector, found, Look(None, None, pixel, pixels), Units(False, False))
+        previewed(detector, found, Preview(None, None, pixel, pixels), Units(False, False))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from offline_ik.inverse.detector import Detector
     from offline_ik.motion.simulation import Simulation
 
-__all__ = ["Look", "Picture", "Pixel", "Pixels", "Poni", "check_looks", "looked"]
+__all__ = ["Picture", "Pixel", "Pixels", "Poni", "Preview", "check_previews", "previewed"]
 
 Picture = Annotated[
     Path | None,
@@ -36,7 +36,7 @@ Pixels = Annotated[
 ]
 
 
-class Look(NamedTuple):
+class Preview(NamedTuple):
     """What was asked for."""
 
     picture: Path | None
@@ -45,7 +45,7 @@ class Look(NamedTuple):
     pixels: str | None
 
 
-def check_looks(picture: Path | None, poni: Path | None) -> None:
+def check_previews(picture: Path | None, poni: Path | None) -> None:
     """Check that the files can be written, before the work.
 
     Raises
@@ -59,7 +59,9 @@ def check_looks(picture: Path | None, poni: Path | None) -> None:
         output_file(poni, "a geometry for pyFAI")
 
 
-def looked(detector: Detector, simulation: Simulation, look: Look, units: Units) -> tuple[list[str], dict[str, Any]]:
+def previewed(
+    detector: Detector, simulation: Simulation, preview: Preview, units: Units
+) -> tuple[list[str], dict[str, Any]]:
     """Write the files, and say what was found: lines for people, members for programs.
 
     Raises
@@ -72,19 +74,19 @@ def looked(detector: Detector, simulation: Simulation, look: Look, units: Units)
 
     said: list[str] = []
     data: dict[str, Any] = {}
-    if look.poni is None and look.pixel is None:
-        _draw(look, simulation, said)
+    if preview.poni is None and preview.pixel is None:
+        _draw(preview, simulation, said)
         return said, data
-    answer, given = simulation.ways.answer, numbers("--pixels", look.pixels)
+    answer, given = simulation.ways.answer, numbers("--pixels", preview.pixels)
     try:
         pixels = check_pixels(detector.cell.pixels if given is None else given)
     except DetectorError as error:
         raise DetectorError(
             str(error).replace("pixels=ROWS", "--pixels ROWS").replace("pixels:", "--pixels:")
         ) from None
-    at = numbers("--pixel", look.pixel)
+    at = numbers("--pixel", preview.pixel)
     if at is not None and len(at) != 2:
-        raise DetectorError(f"--pixel: expected I,J, found {look.pixel!r}")
+        raise DetectorError(f"--pixel: expected I,J, found {preview.pixel!r}")
     if at is not None and answer.reachable:
         covariance = answer.solutions[0].uncertainty.covariance
         seen = pixel_of(detector, answer.target, covariance, (at[0], at[1]), pixels)
@@ -95,17 +97,17 @@ def looked(detector: Detector, simulation: Simulation, look: Look, units: Units)
             f"{readable(seen.spread.delta, 'microrad')}, 2θ {units.angle(seen.two_theta)} ± "
             f"{readable(seen.two_theta_std, 'microrad')}."
         )
-    if look.poni is not None and answer.reachable:
-        write_text(look.poni, poni_text(detector.cell.convention, answer.target, detector.cell.pixel, pixels))
-        said.append(f"For pyFAI: {look.poni}.")
-    _draw(look, simulation, said)
+    if preview.poni is not None and answer.reachable:
+        write_text(preview.poni, poni_text(detector.cell.convention, answer.target, detector.cell.pixel, pixels))
+        said.append(f"For pyFAI: {preview.poni}.")
+    _draw(preview, simulation, said)
     return said, data
 
 
-def _draw(look: Look, simulation: Simulation, said: list[str]) -> None:
+def _draw(preview: Preview, simulation: Simulation, said: list[str]) -> None:
     from experiments.outputs import write_text
     from offline_ik.motion.picture import picture_of
 
-    if look.picture is not None:
-        write_text(look.picture, picture_of(simulation))
-        said.append(f"Picture: {look.picture}.")
+    if preview.picture is not None:
+        write_text(preview.picture, picture_of(simulation))
+        said.append(f"Picture: {preview.picture}.")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from clampid.catalogue import catalogue
-from clampid.fitting.held_motors import _middle, other_crossings
+from clampid.fitting.motors_at_rest import _middle, other_crossings
 from clampid.fitting.noise import initial_noise
 from clampid.fitting.solve import prior_of
 from clampid.identification.fitted_stage import active_slots
@@ -60,13 +60,13 @@ def test_a_motor_that_stands_still_keeps_its_friction(trial: FitProblem):
     # Joint 1 is driven first, and last upwards: its friction is known in the sweeps of the same clamping that follow.
     first = next(s for s in sorted(driven) if driven[s] == 0)
     after = [at[s, n] for s in range(first + 1, first + n)]
-    friction = trial.rows.sweep.held_friction[0]
+    friction = trial.rows.sweep.loop_friction[0]
     np.testing.assert_allclose(mean[count:][after], friction)
     assert np.sqrt(np.diag(covariance)[after]).max() < 0.5 * friction
     # The wrist waits: its friction is unknown as a friction is, but the same in all sweeps before.
     before = [at[s, 2 * n - 1] for s in range(first, first + 3)]
     np.testing.assert_allclose(mean[count:][before], 0.0)
-    spread = covariance[np.ix_(before, before)] / trial.rows.sweep.held_friction[n - 1] ** 2
+    spread = covariance[np.ix_(before, before)] / trial.rows.sweep.loop_friction[n - 1] ** 2
     assert np.all(np.abs(spread - 1.0) < 0.02)
 
 
