@@ -36,7 +36,7 @@ import pandas as pd
 
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.next_measurement import COOLING, SAME
-from clampid.diagnosis.next_poses import _choices
+from clampid.diagnosis.pools import cell_of as cell_of_campaign
 from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
@@ -60,6 +60,7 @@ ROBOT = "kuka_kr20_r1810"
 MOST = 120
 LONGEST_START = 60  # poses
 BATCH = 5
+RANDOM_POSES = 200
 APPROACH = 0.05  # rad
 HOUR = 3600.0
 MIDDLE = np.array([-1.2, 1.5])  # rad, of the narrow ranges of joints 2 and 3
@@ -261,6 +262,14 @@ def _parted(judge: Judge, truth: int) -> bool:
     return (judge.apart if truth == 0 else -judge.apart) >= SAME
 
 
+def _random_poses(campaign: Campaign, seed: int) -> tuple[Array, Array]:
+    """More than are needed, anywhere within the limits that the chooser has, and from which side their joints come."""
+    cell, limits, _ = cell_of_campaign(campaign)
+    within = replace(limits, lower=limits.lower + 1.5 * APPROACH, upper=limits.upper - 1.5 * APPROACH)
+    q = configurations(within, RANDOM_POSES, Scene.floor_only(cell).clear, seed, why="clear of the floor")
+    return q, np.random.default_rng(seed).choice([-1.0, 1.0], q.shape)
+
+
 def trial(name: str, seed: int) -> dict[str, Any]:
     """Both counts for one robot."""
     row: dict[str, Any] = {"pair": name, "seed": seed, "true": PAIRS[name].names[seed % 2]}
@@ -278,7 +287,7 @@ def trial(name: str, seed: int) -> dict[str, Any]:
             return []
         return [(v.q, v.direction, v.wait) for v in rested(found.proposed).visits]
 
-    q, sides = _choices(robot.campaign(), seed)
+    q, sides = _random_poses(robot.campaign(), seed)
     rng = np.random.default_rng([seed, 2])
     order = rng.permutation(len(q)).tolist()
 

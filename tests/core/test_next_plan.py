@@ -14,8 +14,9 @@ from clampid.diagnosis.held_out import held_out
 from clampid.diagnosis.linear_refit import linear_refit
 from clampid.diagnosis.next_measurement import ENOUGH, SAME, NextPlan
 from clampid.diagnosis.next_plan import parting_plan, showing_plan
-from clampid.diagnosis.parting import Rivals, part, show
+from clampid.diagnosis.parting import part, show
 from clampid.diagnosis.propose import Weak
+from clampid.diagnosis.refit_signals import Rivals
 from clampid.diagnosis.residual_excess import OneSided, excess_over_floor, one_sided, one_sided_words
 from clampid.diagnosis.separators import something_else
 from clampid.evidence.candidates import named_candidates

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from clampid.catalogue import catalogue
 from clampid.diagnosis.next_measurement import ENOUGH
 from clampid.diagnosis.next_poses import next_poses, plan_of
-from clampid.diagnosis.parting import Rivals, part
+from clampid.diagnosis.parting import part
+from clampid.diagnosis.refit_signals import Rivals
 from clampid.evidence.candidates import named_candidates
 from clampid.evidence.score import score
 from clampid.evidence.space import space_of
