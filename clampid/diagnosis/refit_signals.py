@@ -15,6 +15,8 @@ __all__ = ["Normal", "Rivals", "Signal", "add_measurement", "each_beside_another
 
 RIDGE = 1e-10
 """Prior weight of a direction, in units of its own column's: what nothing determines must not explain a new row."""
+LARGEST_UPDATED_SPREAD = 1e8
+"""In units of a row's variance: an update of what is less certain loses more than half of the digits to rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,13 +72,15 @@ class Normal:
     def add(self, k: int) -> None:
         """Add one measurement of the pool."""
         X = self.pool_X[k]
-        if "spread" in self.__dict__:  # by the matrix inversion lemma: from the beginning takes ten times as long
+        known = "spread" in self.__dict__ and self.spread.max() < LARGEST_UPDATED_SPREAD
+        if known:  # by the matrix inversion lemma: from the beginning takes ten times as long
             balance, lower = self.factor
             solved = balance[:, None] * linalg.cho_solve((lower, True), (X * balance).T, check_finite=False)
             shared = (self.pool_X.reshape(-1, len(solved)) @ solved).reshape(self.spread.shape)
             self.spread = self.spread - shared @ np.linalg.solve(self.spread[k], shared.transpose(0, 2, 1))
         self.A = self.A + X.T @ X
-        self.__dict__.pop("factor", None)
+        for name in ("factor",) if known else ("factor", "spread"):
+            self.__dict__.pop(name, None)
 
     def with_all(self) -> Normal:
         """The same with every measurement of the pool."""
