@@ -71,6 +71,10 @@ class Deciding:
         """Expected number of pairs that are decided, for each measurement."""
         return float(self.chances.sum()) / len(self.chosen) if self.chosen else 0.0
 
+    def likely(self, power: float) -> tuple[int, ...]:
+        """Numbers of the pairs that are decided with a probability; where there are none, of the likeliest one."""
+        return tuple(np.flatnonzero(self.chances >= min(power, float(self.chances.max()))).tolist())
+
 
 def chance_decided(evidence: float, gain: Sequence[float], bound: float) -> float:
     """The chance that measurements raise the evidence between two effects above a bound.

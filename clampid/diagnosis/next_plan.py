@@ -69,8 +69,8 @@ class Undecided:
 
 def separating_plan(
     campaign: Campaign, pairs: Sequence[Undecided], seed: int, most: int, states: Sequence[str] = STATES
-) -> tuple[NextPlan, tuple[float, ...]] | None:
-    """Measurements that decide as many of several pairs as can be, and the chance that they decide each.
+) -> tuple[NextPlan, Deciding] | None:
+    """Measurements that decide as many of several pairs as can be, and what they are expected to decide.
 
     Measurements that need a rest before them and those that need none are compared by the number of pairs that they
     are expected to decide for each measurement (:mod:`clampid.diagnosis.deciding`). None where none decides any.
@@ -98,13 +98,13 @@ def separating_plan(
         )
         if not found.chosen or (best is not None and not _saves_one(found, best[1])):
             continue
-        likely = np.flatnonzero(found.chances >= min(POWER, float(found.chances.max()))).tolist()
+        likely = list(found.likely(POWER))
         before, after = float(found.before[likely].min()), float(found.after[likely].min())
         parts = "; ".join(" and ".join(s.candidate.label for s in pairs[k].two) for k in likely)
         plan = pool.plan(found.chosen, parting_aim(parts, before, after))
         words = pool.words(found.chosen)
         best = NextPlan("parting", found.chosen, len(pool), state, pool.what, words, plan, before, after), found
-    return None if best is None else (best[0], tuple(best[1].chances.tolist()))
+    return best
 
 
 def _open_pair(pair: Undecided, pool: Pool) -> OpenPair:

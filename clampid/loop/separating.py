@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clampid.diagnosis.deciding import Deciding
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.next_measurement import ENOUGH, POWER, SAME, STATES, NextPlan
 from clampid.diagnosis.next_plan import Undecided, separating_plan
@@ -23,8 +24,8 @@ from experiments.campaign import Campaign
 
 __all__ = ["Next", "Separating"]
 
-VAIN = (1.0 - POWER) ** 2
-"""The chance that all proposals so far leave a pair open, below which the model is wrong there: nothing more for it."""
+CHANCE_GIVEN_UP = (1.0 - POWER) ** 2
+"""Of a pair that is open though this was the chance of it, the model is wrong: nothing more is measured for it."""
 
 
 @dataclass(frozen=True)
@@ -86,18 +87,18 @@ class Separating:
         if found.verdict == "ambiguous" and found.next_plan is not None and found.next_plan.plan is not None:
             words = f"{min(len(found.next_plan.chosen), left)} more, because {_alike(found)} explain the same."
             return Next(found.next_plan, _joined(decided, f"{words} {_sentence(found.next_plan)}."))
-        pairs = [p for p in pairs if p.apart > -SAME and self._in_vain[p.terms] > VAIN]
+        pairs = [p for p in pairs if p.apart > -SAME and self._in_vain[p.terms] > CHANCE_GIVEN_UP]
         states = STATES if kind_of(stage).points else STATES[:1]
         wanted = [Undecided(p.without, (p.first, p.second), p.scale, p.apart) for p in pairs]
         chosen = separating_plan(campaign, wanted, self._seed, left, states)
         if chosen is None:
             return Next(None, _joined(decided, _nothing(found, pairs)))
-        best, chances = chosen
-        mine = [(p, chance) for p, chance in zip(pairs, chances, strict=True) if chance >= min(POWER, max(chances))]
-        self._open = list(dict.fromkeys([*(p.terms for p, _ in mine), *self._open]))
-        for pair, chance in zip(pairs, chances, strict=True):
-            self._in_vain[pair.terms] *= 1.0 - min(chance, POWER)
-        return Next(best, _joined(decided, f"{len(best.chosen)} more, because {_apart(mine)}. {_expected(best)}"))
+        best, deciding = chosen
+        self._open = list(dict.fromkeys([*(p.terms for p in pairs), *self._open]))
+        for pair, chance in zip(pairs, deciding.chances.tolist(), strict=True):
+            self._in_vain[pair.terms] *= 1.0 - min(chance, POWER)  # what is expected of a wrong model is not certain
+        words = f"{len(best.chosen)} more, because {_apart(pairs, deciding)}. {_expected(best)}"
+        return Next(best, _joined(decided, words))
 
     def _became(
         self, fitted: FittedStage, pairs: Sequence[Confusable], others: Mapping[Stage, StageModel]
@@ -131,14 +132,17 @@ def _joined(decided: Sequence[str], words: str) -> str:
     return " ".join([*decided, f"{words[:1].upper()}{words[1:]}" if decided else words])
 
 
-def _apart(pairs: Sequence[tuple[Confusable, float]]) -> str:
-    """What several pairs are open for, and the chance that they are decided."""
+def _apart(pairs: Sequence[Confusable], deciding: Deciding) -> str:
+    """Which pairs the next measurements are likely to decide, with what chance, and how many others are open."""
+    likely = deciding.likely(POWER)
     said = [
-        f"{p.terms[0].label} and {p.terms[1].label} explain the same (evidence {abs(p.apart):.1f}; chance that these "
-        f"decide it: {100.0 * chance:.0f} %)"
-        for p, chance in pairs
+        f"{' and '.join(term.label for term in pairs[k].terms)} explain the same (evidence {abs(pairs[k].apart):.1f}; "
+        f"chance that these decide it: {100.0 * deciding.chances[k]:.0f} %)"
+        for k in likely
     ]
-    return f"{', '.join(said)}; evidence {SAME:.0f} decides"
+    others = len(pairs) - len(likely)
+    more = f"; {others} other {'pair is' if others == 1 else 'pairs are'} open" if others else ""
+    return f"{', '.join(said)}; evidence {SAME:.0f} decides{more}"
 
 
 def _verdict(first: Term, second: Term, apart: float) -> str:

@@ -152,7 +152,9 @@ def test_poses_show_a_gear_that_few_poses_do_not(simulated: Callable[..., Campai
     more = _carried_out(found, tmp_path, (), seed=7)
     _, _, (s,) = _seen([campaign, more], "poses", "gear_eccentricity@joint5")
     after = s.unit_limit * FOUND**0.5
-    assert np.all(after < before)
+    wanted = [g.before > g.aim for g in found.gains]  # the others are found already, and the plan is not for them
+    assert sum(wanted) >= 2
+    assert np.all((after < before)[wanted])
     assert [g.after for g in found.gains] == pytest.approx(after, rel=0.3)
 
 
