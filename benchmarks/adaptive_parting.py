@@ -189,10 +189,10 @@ class Judge:
     def __init__(self, pair: Pair, campaign: Campaign) -> None:
         self.campaign, self._pair = campaign, pair
 
-    def confused(self) -> bool:
-        """Whether the suite says that the two explain the same, whatever else it says."""
+    def confused(self, seed: int) -> bool:
+        """Whether the suite, with the seed that the chooser has, says that the two explain the same."""
         model = identify(self.campaign)
-        found = diagnose(model, self.campaign, stages=("poses",)).stages["poses"]
+        found = diagnose(model, self.campaign, seed=seed, stages=("poses",)).stages["poses"]
         if found.fitted is None or found.scores is None:
             return False
         searched = {s.candidate.name for s in found.scores.named}
@@ -230,7 +230,7 @@ def start(name: str, seed: int) -> Robot | None:
         if number < pair.start or number % (2 * BATCH):
             continue
         judge = Judge(pair, robot.campaign())
-        if abs(judge.apart) < SAME and judge.confused():
+        if abs(judge.apart) < SAME and judge.confused(seed):
             return robot
     return None
 
