@@ -8,7 +8,8 @@ first, and ten more at a time until the suite itself says that the two explain t
 part. Robots of which it never says so are left out, and counted.
 
 Adaptive: `clampid.loop.separating.Separating.next` gets the campaign so far and nothing else. It does not know the
-pair, and what it spends on other pairs counts. What it proposes is measured in the order of the plan, after a rest
+pair, and what it spends on other pairs counts: it chooses for all open pairs together, and decides itself whether the
+robot rests first. What it proposes is measured in the order of the plan, after a rest
 where it asks for a cold robot; then it is asked again. From the same state the same robot measures random poses of the
 same limits instead; for the pair `wrist` each batch of five is measured warm, or after a rest, by the toss of a coin.
 
