@@ -9,9 +9,9 @@ part. Robots of which it never says so are left out, and counted.
 
 Adaptive: `clampid.loop.separating.Separating.next` gets the campaign so far and nothing else. It does not know the
 pair, and what it spends on other pairs counts: it chooses for all open pairs together, and decides itself whether the
-robot rests first. What it proposes is measured in the order of the plan, after a rest
-where it asks for a cold robot; then it is asked again. From the same state the same robot measures random poses of the
-same limits instead; for the pair `wrist` each batch of five is measured warm, or after a rest, by the toss of a coin.
+robot rests first. What it proposes is measured in the order of the plan, after a rest where it asks for a cold robot;
+then it is asked again. From the same state the same robot measures random poses of the same limits instead; for the
+pair `wrist` each batch of five is measured warm, or after a rest, by the toss of a coin.
 
 Parted: the fit with the true effect is likelier than the fit with the other one by `SAME` (odds of e^10), in all rows
 so far, looked at after every fifth pose. Counted are the further poses until then, to one. At `MOST` poses it ends, and
