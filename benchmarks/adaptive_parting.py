@@ -8,9 +8,10 @@ first, and ten more at a time until the suite itself says that the two explain t
 part. Robots of which it never says so are left out, and counted.
 
 Adaptive: `clampid.loop.separating.Separating.next` gets the campaign so far and nothing else. It does not know the
-pair, and what it spends on other pairs counts. What it proposes is measured in the order of the plan, after a rest
-where it asks for a cold robot; then it is asked again. From the same state the same robot measures random poses of the
-same limits instead; for the pair `wrist` each batch of five is measured warm, or after a rest, by the toss of a coin.
+pair, and what it spends on other pairs counts: it chooses for all open pairs together, and decides itself whether the
+robot rests first. What it proposes is measured in the order of the plan, after a rest where it asks for a cold robot;
+then it is asked again. From the same state the same robot measures random poses of the same limits instead; for the
+pair `wrist` each batch of five is measured warm, or after a rest, by the toss of a coin.
 
 Parted: the fit with the true effect is likelier than the fit with the other one by `SAME` (odds of e^10), in all rows
 so far, looked at after every fifth pose. Counted are the further poses until then, to one. At `MOST` poses it ends, and
@@ -36,7 +37,7 @@ import pandas as pd
 
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.next_measurement import COOLING, SAME
-from clampid.diagnosis.next_poses import _choices
+from clampid.diagnosis.pools import cell_of as cell_of_campaign
 from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
@@ -60,6 +61,7 @@ ROBOT = "kuka_kr20_r1810"
 MOST = 120
 LONGEST_START = 60  # poses
 BATCH = 5
+RANDOM_POSES = 200
 APPROACH = 0.05  # rad
 HOUR = 3600.0
 MIDDLE = np.array([-1.2, 1.5])  # rad, of the narrow ranges of joints 2 and 3
@@ -188,10 +190,10 @@ class Judge:
     def __init__(self, pair: Pair, campaign: Campaign) -> None:
         self.campaign, self._pair = campaign, pair
 
-    def confused(self) -> bool:
-        """Whether the suite says that the two explain the same, whatever else it says."""
+    def confused(self, seed: int) -> bool:
+        """Whether the suite, with the seed that the chooser has, says that the two explain the same."""
         model = identify(self.campaign)
-        found = diagnose(model, self.campaign, stages=("poses",)).stages["poses"]
+        found = diagnose(model, self.campaign, seed=seed, stages=("poses",)).stages["poses"]
         if found.fitted is None or found.scores is None:
             return False
         searched = {s.candidate.name for s in found.scores.named}
@@ -229,7 +231,7 @@ def start(name: str, seed: int) -> Robot | None:
         if number < pair.start or number % (2 * BATCH):
             continue
         judge = Judge(pair, robot.campaign())
-        if abs(judge.apart) < SAME and judge.confused():
+        if abs(judge.apart) < SAME and judge.confused(seed):
             return robot
     return None
 
@@ -261,6 +263,14 @@ def _parted(judge: Judge, truth: int) -> bool:
     return (judge.apart if truth == 0 else -judge.apart) >= SAME
 
 
+def _random_poses(campaign: Campaign, seed: int) -> tuple[Array, Array]:
+    """More than are needed, anywhere within the limits that the chooser has, and from which side their joints come."""
+    cell, limits, _ = cell_of_campaign(campaign)
+    within = replace(limits, lower=limits.lower + 1.5 * APPROACH, upper=limits.upper - 1.5 * APPROACH)
+    q = configurations(within, RANDOM_POSES, Scene.floor_only(cell).clear, seed, why="clear of the floor")
+    return q, np.random.default_rng(seed).choice([-1.0, 1.0], q.shape)
+
+
 def trial(name: str, seed: int) -> dict[str, Any]:
     """Both counts for one robot."""
     row: dict[str, Any] = {"pair": name, "seed": seed, "true": PAIRS[name].names[seed % 2]}
@@ -278,7 +288,7 @@ def trial(name: str, seed: int) -> dict[str, Any]:
             return []
         return [(v.q, v.direction, v.wait) for v in rested(found.proposed).visits]
 
-    q, sides = _choices(robot.campaign(), seed)
+    q, sides = _random_poses(robot.campaign(), seed)
     rng = np.random.default_rng([seed, 2])
     order = rng.permutation(len(q)).tolist()
 

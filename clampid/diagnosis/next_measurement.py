@@ -11,7 +11,7 @@ from scipy import stats
 from clampid.stages.rows import Array
 from experiments.plans.model import Plan
 
-__all__ = ["COOLING", "ENOUGH", "SAME", "STATES", "TEMPERATURES", "Gain", "NextPlan", "NextPoses"]
+__all__ = ["COOLING", "ENOUGH", "POWER", "SAME", "STATES", "TEMPERATURES", "Gain", "NextPlan", "NextPoses"]
 
 SAME = 20.0
 """Candidates whose explained squares differ by less are not distinguished: odds of e^10, 22 000 to one."""

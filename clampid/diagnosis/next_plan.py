@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from clampid.diagnosis.candidate_scores import CandidateScores
-from clampid.diagnosis.next_measurement import ENOUGH, STATES, NextPlan
-from clampid.diagnosis.parting import Rivals, Separation, part_each
+from clampid.diagnosis.deciding import Deciding, OpenPair, decide_most
+from clampid.diagnosis.next_measurement import POWER, SAME, STATES, NextPlan
 from clampid.diagnosis.pools import Pool, seen_of
 from clampid.diagnosis.propose import PoolOf, Weak, parting_aim, propose_parting, propose_testing
+from clampid.diagnosis.refit_signals import Rivals
 from clampid.diagnosis.testability import noncentrality
 from clampid.effect import Effect, EffectError, Stage
 from clampid.evidence.candidates import Candidate
@@ -19,12 +21,11 @@ from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
 from clampid.stages.fit_problem import parameter_of
-from clampid.stages.rows import Array
 from clampid.stages.stage_kind import kind_of
 from experiments.campaign import Campaign
 from experiments.plans.errors import PlanError
 
-__all__ = ["parting_plan", "separating_plan", "showing_plan", "weak_ones"]
+__all__ = ["Undecided", "parting_plan", "separating_plan", "showing_plan", "weak_ones"]
 
 BETTER = 0.5  # of the present limit: the aim where a parameter of its usual size would be found already
 WARMTH = frozenset({"link_temperature", "motor_temperature", "ambient_temperature", "elapsed"})
@@ -44,78 +45,79 @@ def parting_plan(
     return propose_parting(pool, estimate, rivals, scale, _states(estimate, [s.candidate for s in rivals]))
 
 
-def separating_plan(
-    campaign: Campaign,
-    pairs: Sequence[tuple[Estimate, Sequence[Scored], float]],
-    seed: int,
-    most: int,
-    states: Sequence[str] = STATES,
-) -> tuple[NextPlan, tuple[int, ...]] | None:
-    """Measurements that distinguish the two candidates of several pairs, and the numbers of the pairs they are for.
+@dataclass(frozen=True)
+class Undecided:
+    """A pair of effects that explain the same.
 
-    The smallest number that distinguishes any pair, chosen for as many pairs as possible; None if no measurement helps.
-    If the allowed number does not suffice for one pair, that number is proposed all the same.
+    Attributes
+    ----------
+    without
+        The fit without either.
+    two
+        Both, as scored on that fit.
+    scale
+        Standard deviation of the whitened residual.
+    evidence
+        Of the first over the second so far, twice the logarithm of the odds.
+    """
+
+    without: Estimate
+    two: tuple[Scored, Scored]
+    scale: float
+    evidence: float
+
+
+def separating_plan(
+    campaign: Campaign, pairs: Sequence[Undecided], seed: int, most: int, states: Sequence[str] = STATES
+) -> tuple[NextPlan, Deciding] | None:
+    """Measurements that decide as many of several pairs as can be, and what they are expected to decide.
+
+    Measurements that need a rest before them and those that need none are compared by the number of pairs that they
+    are expected to decide for each measurement (:mod:`clampid.diagnosis.deciding`). None where none decides any.
 
     Parameters
     ----------
-    pairs
-        Of each: the fit without either, the two candidates, and the standard deviation of the whitened residual.
     most
         How many at most.
     states
-        In which the robot can be measured.
+        In which the robot can be measured, the more convenient first.
 
     Raises
     ------
     PlanError
         The campaign's robot lets no measurement be planned.
     """
-    wanted = {state for fit, two, _ in pairs for state in _states(fit, [s.candidate for s in two])}
-    best: tuple[NextPlan, tuple[int, ...]] | None = None
+    wanted = {state for pair in pairs for state in _states(pair.without, [s.candidate for s in pair.two])}
+    best: tuple[NextPlan, Deciding] | None = None
     for state in (s for s in states if s in wanted):
-        rivals, pools = [], []
-        for fit, two, scale in pairs:
-            candidates = [s.candidate for s in two]
-            pool, seen = _pool_of(campaign, fit, seed)(candidates, state), seen_of(fit, candidates)
-            prior = np.zeros((seen.nuisance.shape[1],) * 2)  # it is among the rows
-            values = [s.value for s in two]
-            rivals.append(Rivals(seen.nuisance / scale, [D / scale for D in seen.columns], values, prior))
-            pools.append((pool.nuisance / scale, [D / scale for D in pool.columns]))
-        found = _fewest(rivals, pools, pool, min(pool.most, most))
-        if not found.chosen:
-            continue
-        parts = "; ".join(" and ".join(s.candidate.label for s in pairs[k][1]) for k in found.pairs)
-        before, after = float(found.before.min()), float(found.after.min())
-        new = NextPlan(
-            aim="parting",
-            chosen=found.chosen,
-            tried=len(pool),
-            state=state,
-            what=pool.what,
-            words=pool.words(found.chosen),
-            plan=pool.plan(found.chosen, parting_aim(parts, before, after)),
-            before=before,
-            after=after,
+        pools = [_pool_of(campaign, p.without, seed)([s.candidate for s in p.two], state) for p in pairs]
+        opened = [_open_pair(pair, pool) for pair, pool in zip(pairs, pools, strict=True)]
+        pool = pools[0]
+        found = decide_most(
+            opened, bound=SAME, power=POWER, batch=pool.batch, most=min(pool.most, most), cost=pool.cost
         )
-        if best is None or _preferred(new, found.pairs) > _preferred(*best):
-            best = new, found.pairs
+        if not found.chosen or (best is not None and not _saves_one(found, best[1])):
+            continue
+        likely = list(found.likely(POWER))
+        before, after = float(found.before[likely].min()), float(found.after[likely].min())
+        parts = "; ".join(" and ".join(s.candidate.label for s in pairs[k].two) for k in likely)
+        plan = pool.plan(found.chosen, parting_aim(parts, before, after))
+        words = pool.words(found.chosen)
+        best = NextPlan("parting", found.chosen, len(pool), state, pool.what, words, plan, before, after), found
     return best
 
 
-def _fewest(
-    rivals: Sequence[Rivals], pools: Sequence[tuple[Array, Sequence[Array]]], pool: Pool, most: int
-) -> Separation:
-    """The smallest number of batches that distinguishes a pair, for as many pairs as possible; else all allowed."""
-    for allowed in (*range(pool.batch, most, pool.batch), most):
-        found = part_each(rivals, pools, enough=ENOUGH, batch=pool.batch, most=allowed, cost=pool.cost)
-        if not found.pairs or found.parted:
-            break
-    return found
+def _open_pair(pair: Undecided, pool: Pool) -> OpenPair:
+    seen = seen_of(pair.without, [s.candidate for s in pair.two])
+    prior = np.zeros((seen.nuisance.shape[1],) * 2)  # it is among the rows
+    values = [s.value for s in pair.two]
+    rivals = Rivals(seen.nuisance / pair.scale, [D / pair.scale for D in seen.columns], values, prior)
+    return OpenPair(rivals, (pool.nuisance / pair.scale, [D / pair.scale for D in pool.columns]), pair.evidence)
 
 
-def _preferred(proposed: NextPlan, pairs: Sequence[int]) -> tuple[bool, int, int, float]:
-    """The order of proposals: whether it helps, with how few measurements, and for how many pairs."""
-    return proposed.helps, -len(proposed.chosen), len(pairs), proposed.after if not proposed.helps else 0.0
+def _saves_one(new: Deciding, best: Deciding) -> bool:
+    """Whether a less convenient proposal saves at least one measurement for each pair that is decided."""
+    return new.decided > 0.0 and (best.decided <= 0.0 or 1.0 / new.decided <= 1.0 / best.decided - 1.0)
 
 
 def showing_plan(

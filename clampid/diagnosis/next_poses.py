@@ -8,7 +8,6 @@ from functools import partial
 from types import MappingProxyType
 
 import numpy as np
-import pandas as pd
 
 from clampid.diagnosis.next_measurement import COOLING, SAME, STATES, TEMPERATURES, NextPlan, NextPoses
 from clampid.diagnosis.pools import Pool, cell_of
@@ -28,7 +27,8 @@ from experiments.plans.validate import validate_plan
 
 __all__ = ["next_poses", "plan_of", "poses_of", "poses_to_choose"]
 
-POOL, BATCH, MAX_POSES = 200, 5, 40
+POOL, BATCH, MAX_POSES = 1000, 5, 40
+WIDENED = 1.5  # times the ranges: of these, a third of each joint's angles fall to the ends of its range
 APPROACH = 0.05  # rad (m): the last move of every joint to a pose
 MEASURE_TIME = 3.0  # s for each point
 
@@ -74,9 +74,22 @@ def poses_to_choose(
 
 
 def _choices(campaign: Campaign, seed: int) -> tuple[Array, Array]:
-    """Poses ``(K, n)``, rad, and the sides from which their joints come ``(K, n)``, ±1."""
+    """Poses ``(K, n)``, rad, and the sides from which their joints come ``(K, n)``, ±1.
+
+    Two of three lie inside the ranges. The others are drawn from wider ranges and moved to the ends where they lie
+    outside: what distinguishes two models best often lies there (Atkinson & Fedorov 1975).
+    """
     cell, limits, _ = cell_of(campaign)
-    q = configurations(_inner(limits), POOL, Scene.floor_only(cell).clear, seed, why="clear of the floor")
+    inner, scene = _inner(limits), Scene.floor_only(cell)
+
+    def ended(q: Array) -> Array:
+        return np.clip(q, inner.lower, inner.upper)
+
+    half = (WIDENED - 1.0) / 2.0 * (inner.upper - inner.lower)
+    wide = replace(inner, lower=inner.lower - half, upper=inner.upper + half)
+    at_ends = ended(configurations(wide, POOL // 3, lambda q: scene.clear(ended(q)), seed, why="clear of the floor"))
+    inside = configurations(inner, POOL - len(at_ends), scene.clear, seed, why="clear of the floor")
+    q = np.vstack([inside, at_ends])
     return q, np.random.default_rng(seed).choice([-1.0, 1.0], q.shape)
 
 
@@ -109,7 +122,7 @@ def _imagined_rows(campaign: Campaign, estimate: Estimate, q: Array, direction: 
     rows, frame = estimate.problem.rows, campaign.tables["poses"].sort_values("time_s")
     targets = list(dict.fromkeys(str(t) for t in frame["target"]))
     like = frame.iloc[[-1 if state == "warm" else 0]]
-    table = pd.concat([like] * (len(q) * len(targets)), ignore_index=True)
+    table = like.iloc[np.zeros(len(q) * len(targets), dtype=int)].reset_index(drop=True)
     if state == "cold":  # after these, and a rest: temperatures are those of the start, the time is not
         table["time_s"] = float(frame["time_s"].iloc[-1]) + COOLING
     pose = np.repeat(np.arange(len(q)), len(targets))

@@ -9,8 +9,9 @@ from functools import partial
 import numpy as np
 
 from clampid.diagnosis.next_measurement import ENOUGH, SAME, Gain, NextPlan
-from clampid.diagnosis.parting import Rivals, Showing, part, show
+from clampid.diagnosis.parting import Showing, part, show
 from clampid.diagnosis.pools import Pool, seen_of
+from clampid.diagnosis.refit_signals import Rivals
 from clampid.effect import Parameter
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from clampid.diagnosis.deciding import Deciding
 from clampid.diagnosis.diagnose import diagnose
-from clampid.diagnosis.next_measurement import ENOUGH, SAME, STATES, NextPlan
-from clampid.diagnosis.next_plan import separating_plan
+from clampid.diagnosis.next_measurement import ENOUGH, POWER, SAME, STATES, NextPlan
+from clampid.diagnosis.next_plan import Undecided, separating_plan
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.effect import Stage
 from clampid.identification.fitted_stage import FittedStage
@@ -23,8 +24,8 @@ from experiments.campaign import Campaign
 
 __all__ = ["Next", "Separating"]
 
-TRIALS = 2
-"""Proposals for a pair, each of which does in 9 of 10 campaigns: after so many in vain, the model is wrong there."""
+CHANCE_GIVEN_UP = (1.0 - POWER) ** 2
+"""Of a pair that is open though this was the chance of it, the model is wrong: nothing more is measured for it."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class Separating:
         self._seed, self._budget = seed, budget
         self._open: list[tuple[Term, Term]] = []
         self._reported: set[tuple[Term, Term]] = set()
-        self._expected: Counter[tuple[Term, Term]] = Counter()
+        self._in_vain: defaultdict[tuple[Term, Term], float] = defaultdict(lambda: 1.0)
 
     def next(self, campaign: Campaign, stage: Stage, left: int) -> Next:
         """What to measure next, at most so much, given all that was measured.
@@ -86,36 +87,18 @@ class Separating:
         if found.verdict == "ambiguous" and found.next_plan is not None and found.next_plan.plan is not None:
             words = f"{min(len(found.next_plan.chosen), left)} more, because {_alike(found)} explain the same."
             return Next(found.next_plan, _joined(decided, f"{words} {_sentence(found.next_plan)}."))
-        pairs = [p for p in pairs if p.apart > -SAME and self._expected[p.terms] < TRIALS]
-        chosen = self._most_doubt(campaign, pairs, STATES if kind_of(stage).points else STATES[:1], left)
+        pairs = [p for p in pairs if p.apart > -SAME and self._in_vain[p.terms] > CHANCE_GIVEN_UP]
+        states = STATES if kind_of(stage).points else STATES[:1]
+        wanted = [Undecided(p.without, (p.first, p.second), p.scale, p.apart) for p in pairs]
+        chosen = separating_plan(campaign, wanted, self._seed, left, states)
         if chosen is None:
             return Next(None, _joined(decided, _nothing(found, pairs)))
-        best, mine = chosen
-        self._open = list(dict.fromkeys([*(p.terms for p in mine), *self._open]))
-        if best.helps:
-            self._expected.update(p.terms for p in mine)
-        return Next(best, _joined(decided, f"{len(best.chosen)} more, because {_apart(mine)}. {_expected(best)}"))
-
-    def _most_doubt(
-        self, campaign: Campaign, pairs: Sequence[Confusable], states: Sequence[str], left: int
-    ) -> tuple[NextPlan, list[Confusable]] | None:
-        """Measurements for the pair with most doubt by measurement, and that pair; None where none helps.
-
-        Doubt is the chance that the less likely effect is the true one. Source: Smith, Various optimizers for
-        single-stage production, Naval Research Logistics Quarterly 3, 1956: what weighs most by the time that it takes
-        comes first.
-        """
-        best: tuple[NextPlan, list[Confusable]] | None = None
-        rank = (False, 0.0)
-        for pair in pairs:
-            wanted = [(pair.without, (pair.first, pair.second), pair.scale)]
-            found = separating_plan(campaign, wanted, self._seed, left, states)
-            if found is not None:
-                doubt = 1.0 / (1.0 + np.exp(abs(pair.apart) / 2.0))
-                new = (found[0].helps, float(doubt / len(found[0].chosen)))
-                if new > rank:
-                    best, rank = (found[0], [pair]), new
-        return best
+        best, deciding = chosen
+        self._open = list(dict.fromkeys([*(p.terms for p in pairs), *self._open]))
+        for pair, chance in zip(pairs, deciding.chances.tolist(), strict=True):
+            self._in_vain[pair.terms] *= 1.0 - min(chance, POWER)  # what is expected of a wrong model is not certain
+        words = f"{len(best.chosen)} more, because {_apart(pairs, deciding)}. {_expected(best)}"
+        return Next(best, _joined(decided, words))
 
     def _became(
         self, fitted: FittedStage, pairs: Sequence[Confusable], others: Mapping[Stage, StageModel]
@@ -149,10 +132,17 @@ def _joined(decided: Sequence[str], words: str) -> str:
     return " ".join([*decided, f"{words[:1].upper()}{words[1:]}" if decided else words])
 
 
-def _apart(pairs: Sequence[Confusable]) -> str:
-    """What several pairs are open for."""
-    said = [f"{p.terms[0].label} and {p.terms[1].label} explain the same (evidence {abs(p.apart):.1f})" for p in pairs]
-    return f"{', '.join(said)}; evidence {SAME:.0f} decides"
+def _apart(pairs: Sequence[Confusable], deciding: Deciding) -> str:
+    """Which pairs the next measurements are likely to decide, with what chance, and how many others are open."""
+    likely = deciding.likely(POWER)
+    said = [
+        f"{' and '.join(term.label for term in pairs[k].terms)} explain the same (evidence {abs(pairs[k].apart):.1f}; "
+        f"chance that these decide it: {100.0 * deciding.chances[k]:.0f} %)"
+        for k in likely
+    ]
+    others = len(pairs) - len(likely)
+    more = f"; {others} other {'pair is' if others == 1 else 'pairs are'} open" if others else ""
+    return f"{', '.join(said)}; evidence {SAME:.0f} decides{more}"
 
 
 def _verdict(first: Term, second: Term, apart: float) -> str:

@@ -14,8 +14,9 @@ from clampid.diagnosis.held_out import held_out_of
 from clampid.diagnosis.linear_refit import linear_refit
 from clampid.diagnosis.next_measurement import ENOUGH, SAME, NextPlan
 from clampid.diagnosis.next_plan import parting_plan, showing_plan
-from clampid.diagnosis.parting import Rivals, part, show
+from clampid.diagnosis.parting import part, show
 from clampid.diagnosis.propose import Weak
+from clampid.diagnosis.refit_signals import Rivals
 from clampid.diagnosis.residual_excess import OneSided, excess_over_floor, one_sided, one_sided_words
 from clampid.diagnosis.separators import something_else
 from clampid.evidence.candidates import named_candidates
@@ -151,7 +152,9 @@ def test_poses_show_a_gear_that_few_poses_do_not(simulated: Callable[..., Campai
     more = _carried_out(found, tmp_path, (), seed=7)
     _, _, (s,) = _seen([campaign, more], "poses", "gear_eccentricity@joint5")
     after = s.unit_limit * FOUND**0.5
-    assert np.all(after < before)
+    wanted = [g.before > g.aim for g in found.gains]  # the others are found already, and the plan is not for them
+    assert sum(wanted) >= 2
+    assert np.all((after < before)[wanted])
     assert [g.after for g in found.gains] == pytest.approx(after, rel=0.3)
 
 

@@ -12,15 +12,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
-from clampid.diagnosis.next_measurement import ENOUGH
-from clampid.diagnosis.next_poses import next_poses, plan_of
-from clampid.diagnosis.parting import Rivals, part
+from clampid.diagnosis.next_measurement import ENOUGH, NextPlan
+from clampid.diagnosis.next_poses import next_poses, plan_of, poses_of
+from clampid.diagnosis.parting import part
+from clampid.diagnosis.refit_signals import Normal, Rivals
 from clampid.evidence.candidates import named_candidates
 from clampid.evidence.score import score
 from clampid.evidence.space import space_of
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from experiments.campaign import Campaign
+from experiments.plans.limits import limits_of
 from experiments.plans.read import read_plan
 from experiments.plans.write import write_plan
 
@@ -63,6 +65,34 @@ def test_measurements_that_distinguish_candidates_are_chosen():
     assert found.before == pytest.approx(0.0, abs=1e-6)
     same = part(Rivals(J, [a, a], [np.ones(1)] * 2, np.eye(3)), pool_J, [pool_a, pool_a], enough=1.0, batch=2, most=10)
     assert same.after == pytest.approx(0.0, abs=1e-6)  # nothing parts what is the same everywhere
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6))
+def test_the_spread_of_predictions_is_the_same_whether_updated_or_found_anew(seed: int):
+    rng = np.random.default_rng(seed)
+    X, pool_X = rng.standard_normal((20, 6)), rng.standard_normal((15, 3, 6))
+    X[:, 5] = 1e-9 * X[:, 4]  # the rows so far say nothing of it, the pool does
+    updated = Normal(X, np.zeros((6, 6)), pool_X)
+    assert updated.spread.shape == (15, 3, 3)
+    for k in (4, 9, 2):
+        updated.add(k)
+    anew = Normal(np.vstack([X, *pool_X[[4, 9, 2]]]), np.zeros((6, 6)), pool_X)
+    np.testing.assert_allclose(updated.spread, anew.spread, rtol=1e-6, atol=1e-6)
+
+
+def test_candidates_lie_inside_the_ranges_and_some_at_their_ends(simulated: Callable[..., Campaign]):
+    campaign = simulated(seed=7, poses=60, tables=("poses",))
+    everything = NextPlan("parting", tuple(range(1000)), 1000, "warm", ("pose", "poses"), "", None)
+    q = poses_of(campaign, everything, seed=0).q
+    limits, _ = limits_of(campaign.robot)
+    lower, upper = q.min(axis=0), q.max(axis=0)
+    assert np.all(lower > limits.lower)
+    assert np.all(upper < limits.upper)
+    at_end = (q == lower) | (q == upper)
+    assert 0.1 < at_end.any(axis=1).mean() < 0.6
+    assert np.all(at_end.mean(axis=0) > 0.02)  # of every joint
+    assert len(np.unique(q, axis=0)) == len(q)
 
 
 def test_poses_part_an_eccentric_gear_from_a_wrong_ratio(simulated: Callable[..., Campaign], tmp_path: Path):
