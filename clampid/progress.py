@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TypeVar
 
-__all__ = ["Listener", "Remaining", "in_parts", "left_in_words", "listen", "substep", "time_left"]
+__all__ = ["Listener", "Remaining", "in_parts", "innermost", "left_in_words", "listen", "substep", "time_left"]
 
 T = TypeVar("T")
 Listener = Callable[[float, str], None]
@@ -19,6 +19,7 @@ Listener = Callable[[float, str], None]
 
 SOON = 4.0  # seconds
 SHORTEST_PART = 0.5  # seconds
+_WITHIN = ": "  # between the name of a part and that of a part of it
 LEAST_DONE = 0.05  # below which the time left is anybody's guess
 
 
@@ -31,7 +32,7 @@ class _Tracker:
     def begin(self, name: str, share: float) -> None:
         self.ends.append(self.done + share * (self.ends[-1] - self.done))
         self.names.append(name)
-        self.listener(self.done, ": ".join(filter(None, self.names)))
+        self.listener(self.done, _WITHIN.join(filter(None, self.names)))
 
     def end(self) -> None:
         self.done = self.ends.pop()
@@ -74,6 +75,14 @@ def in_parts(
     for k, item in enumerate(several):
         with substep(name(item), weights[k] / sum(weights[k:])):
             yield item
+
+
+def innermost(work: str, names: str, width: int) -> str:
+    """What is under way, ``work`` and the ``names`` of its parts, without the outer ones that do not fit the width."""
+    parts = [work, *filter(None, names.split(_WITHIN))]
+    while len(parts) > 1 and len(_WITHIN.join(parts)) > width:
+        parts.pop(0)
+    return _WITHIN.join(parts)
 
 
 def time_left(done: float, elapsed: float) -> float | None:

@@ -60,6 +60,7 @@ def entry_of(
         "parameters": _parameters(s, effects, estimate, scale),
         "confusable_with": confusable_with(rivals, s) if rivals else [],
         "explained": s.explained,
+        "from_prior": s.assumed,
         "retained": s.retained,
         "state": s.state,
         **when,

@@ -11,7 +11,7 @@ from clampid.evidence.score import Scored
 
 __all__ = ["evidence_of"]
 
-FOR = ("p_value", "p_familywise", "p_held_out", "stability", "explained", "confusable_with")
+FOR = ("p_value", "p_familywise", "p_held_out", "stability", "explained", "from_prior", "confusable_with")
 ABOUT = (
     "effect", "name", "where", "p_value", "p_familywise", "p_held_out", "stability", "explained", "heldout_rms_before",
     "heldout_rms_after", "reason",

@@ -40,6 +40,7 @@ def auto(
     several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
     progress("identifying the start model")
     model = identify(several, effects, seed=seed, user_effects=user_effects)
+    progress("diagnosing")
     return mend(model, several, seed=seed, user_effects=user_effects, progress=progress)
 
 
@@ -63,7 +64,6 @@ def mend(
     model, diagnosis
         The mended model with its ledger, and what was found.
     """
-    progress("diagnosing")
     with substep("diagnosing", 0.8):
         found = diagnose(model, campaigns, seed=seed, user_effects=user_effects)
     steps: dict[Stage, list[Step]] = {}

@@ -60,24 +60,24 @@ def page(
     poses = stages.get("poses")
     before = stage_data(on_campaign(first_model, campaign, own)) if first_model is not None else {}
     sure = spreads(stages, before, model.seed)
-    makers: list[Callable[[], Section | None]] = [
-        lambda: measured_section(model, campaign),
-        lambda: rounds_section(model, first_model, stages, sure),
-        lambda: steps_section(model, first_model),
-        lambda: verdict_section(diagnosis, comparison),
-        lambda: unknown_shape_section(diagnosis),
-        lambda: truth_and_found(truth, model, effects, campaign.robot),
-        lambda: where_section(stages, model.seed),
-        lambda: robot_section(campaign.robot, poses, before.get("poses")) if poses is not None else None,
-        lambda: budget_section(stages),
-        lambda: torque_section(stages),
-        lambda: drives_section(stages.get("clamped")),
-        lambda: angle_curves_section(model, effects, campaign.robot, poses, diagnosis),
-        lambda: parameters_section(model, effects, campaign.robot),
-        lambda: dh_section(model, campaign.robot),
-        lambda: origin_section(model, campaign, effects),
-    ]
-    sections = [make() for make in in_parts(makers)]
+    makers: dict[str, Callable[[], Section | None]] = {
+        "what was measured": lambda: measured_section(model, campaign),
+        "rounds": lambda: rounds_section(model, first_model, stages, sure),
+        "steps": lambda: steps_section(model, first_model),
+        "verdict": lambda: verdict_section(diagnosis, comparison),
+        "unknown shape": lambda: unknown_shape_section(diagnosis),
+        "what was hidden": lambda: truth_and_found(truth, model, effects, campaign.robot),
+        "residuals": lambda: where_section(stages, model.seed),
+        "the robot": lambda: robot_section(campaign.robot, poses, before.get("poses")) if poses is not None else None,
+        "error budget": lambda: budget_section(stages),
+        "torques": lambda: torque_section(stages),
+        "drives": lambda: drives_section(stages.get("clamped")),
+        "angle curves": lambda: angle_curves_section(model, effects, campaign.robot, poses, diagnosis),
+        "parameters": lambda: parameters_section(model, effects, campaign.robot),
+        "DH table": lambda: dh_section(model, campaign.robot),
+        "origin": lambda: origin_section(model, campaign, effects),
+    }
+    sections = [makers[name]() for name in in_parts(makers, str)]
     sentences = [*headline(model, first_model, comparison, diagnosis), *spread_sentences(sure)]
     first = first_screen(model, first_model, stages, diagnosis)
     heads = findings(model, first_model, campaign, stages, diagnosis, truth, first.verdict)

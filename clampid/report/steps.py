@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from clampid.diagnosis.held_out import HELD_OUT_RATE
 from clampid.display import error_text, number
 from clampid.models.model import Model, Round
 from clampid.report.evidence import confusable_text, filled_table, p_text, places_text
@@ -32,6 +33,11 @@ _NOTE = (
     "is missing, correlated effects are significant, too; they are no longer once it is added. Candidates after the "
     "last step are listed under the verdict."
 )
+_PRIOR_NOTE = (
+    " (prior): most of what it explains is known from its prior and not from the rows. The held-out error of such an "
+    "effect must not rise, but need not fall."
+)
+_MOSTLY = 0.5  # of what an effect explains
 
 
 def steps_section(model: Model, first: Model | None) -> Section | None:
@@ -52,7 +58,7 @@ def _tables(rounds: Sequence[Round], unit: str) -> list[Table]:
             _STEP_COLUMNS,
             steps,
             "What was added, step by step. First in folds: share of the fits without a fifth of the rows in which it "
-            "ranks first.",
+            f"ranks first.{_PRIOR_NOTE if any(_by_prior(r.evidence) for r in rounds) else ''}",
         )
     ]
     return [*tables, filled_table(_REJECTED, rejected, "What was rejected, and why.")] if rejected else tables
@@ -64,7 +70,8 @@ def _step(count: str, entry: Round, unit: str) -> tuple[str, ...]:
     return (
         count,
         ", ".join(entry.added),
-        *_ps(found),
+        *_ps(found)[:2],
+        f"{p_text(found.get('p_held_out'))}{' (prior)' if _by_prior(found) else ''}",
         "–" if stable is None else f"{number(100.0 * stable, 2)} %",
         error_text(found.get("heldout_rms_before"), unit),
         error_text(found.get("heldout_rms_after"), unit),
@@ -75,6 +82,12 @@ def _step(count: str, entry: Round, unit: str) -> tuple[str, ...]:
 def _rejection(count: str, found: Mapping[str, Any], unit: str) -> tuple[str, ...]:
     after = error_text(found.get("heldout_rms_after"), unit)
     return count, str(found["name"]), places_text(found), *_ps(found), after, str(found["reason"])
+
+
+def _by_prior(found: Mapping[str, Any]) -> bool:
+    """Whether a step was confirmed although the held-out error does not fall by more than chance."""
+    p = found.get("p_held_out")
+    return p is not None and p > HELD_OUT_RATE and float(found.get("from_prior") or 0.0) > _MOSTLY
 
 
 def _ps(found: Mapping[str, Any]) -> tuple[str, str, str]:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = ["auto"]
 
+COMPARING_SHARE = 0.3  # of the time that a report takes
+
 
 def auto(
     campaigns: Campaigns,
@@ -64,7 +66,7 @@ def auto(
         read = read_checked(campaigns, out, fits=fits_geometry(chosen))
     with out.working("identifying the start model"):
         first = identify(read, chosen, seed=seed, user_effects=effects_from)
-    with out.working("diagnosing, adding"):
+    with out.working("mending"):
         model, diagnosis = mend(first, read, seed=seed, user_effects=effects_from, progress=out.step)
     save_model(model, output)
     with out.working("comparing with the nominal robot"):
@@ -98,10 +100,12 @@ def _write_report(
 ) -> None:
     """The mended model against one of its campaigns, and the way there from the start model."""
     from clampid.comparison.compare import compare
+    from clampid.progress import substep
     from clampid.report import write_report
 
-    with out.working("comparing and writing the report"):
-        compared = compare(model, campaign, seed=seed, user_effects=effects_from).to_json()
+    with out.working("writing the report"):
+        with substep("comparing", COMPARING_SHARE):
+            compared = compare(model, campaign, seed=seed, user_effects=effects_from).to_json()
         write_report(
             target,
             model,

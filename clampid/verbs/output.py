@@ -100,7 +100,7 @@ class Output:
             with ProgressBar(self.errors, text) as bar, listen(bar.heard):
                 yield
             return
-        lines = _ProgressLines(self.step, text)
+        lines = _ProgressLines(self.step, text, self.errors.width)
         self.step(f"{text} …")
         with listen(lines.heard):
             yield
@@ -133,10 +133,10 @@ class Output:
 class _ProgressLines:
     """Plain lines about the parts of a long step, at most one every :data:`LINES_APART` seconds."""
 
-    def __init__(self, say: Callable[[str], None], text: str) -> None:
+    def __init__(self, say: Callable[[str], None], text: str, width: int) -> None:
         from clampid.progress import Remaining
 
-        self.say, self.text, self.remaining = say, text, Remaining()
+        self.say, self.text, self.width, self.remaining = say, text, width, Remaining()
         self.start = self.last = time.monotonic()
 
     @property
@@ -146,12 +146,14 @@ class _ProgressLines:
 
     def heard(self, done: float, names: str) -> None:
         """A part begins."""
+        from clampid.progress import innermost
+
         now = time.monotonic()
         left = self.remaining.words(done, now - self.start)
         if now - self.last >= LINES_APART:
             self.last = now
-            part = f"{self.text}: {names}" if names else self.text
-            self.say(f"  {part}; {now - self.start:.0f} s so far{left}")
+            times = f"; {now - self.start:.0f} s so far{left}"
+            self.say(f"  {innermost(self.text, names, self.width - len(times) - 2)}{times}")
 
 
 def output_file(path: Path, kind: Kind | None = None) -> Path:

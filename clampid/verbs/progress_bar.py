@@ -6,7 +6,7 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from clampid.progress import Remaining
+from clampid.progress import Remaining, innermost
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 __all__ = ["ProgressBar"]
 
 SHORTEST_WORK = 5.0  # seconds; of shorter work no time left is said
+BAR_WIDTH = 10  # columns
+TIMES_WIDTH = 7 + len("a few seconds left") + 3  # columns: the time so far, the time left, and what is between columns
 
 
 class ProgressBar:
@@ -21,8 +23,11 @@ class ProgressBar:
 
     def __init__(self, console: Console, text: str) -> None:
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+        from rich.table import Column
 
-        columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[left]}")
+        self._room = max(console.width - BAR_WIDTH - TIMES_WIDTH, 1)
+        said = TextColumn("{task.description}", table_column=Column(width=self._room, no_wrap=True), markup=False)
+        columns = said, BarColumn(BAR_WIDTH), TimeElapsedColumn(), TextColumn("{task.fields[left]}")
         self._bar = Progress(*columns, console=console, transient=True)
         self._text, self._start, self._remaining = text, time.monotonic(), Remaining()
         self._task = self._bar.add_task(text, total=None, left="")
@@ -33,7 +38,8 @@ class ProgressBar:
         words = self._remaining.words(done, elapsed).removeprefix(", ")
         left = words if elapsed >= SHORTEST_WORK else ""
         total = 1.0 if done > 0 else None
-        self._bar.update(self._task, description=f"{self._text}: {names}", total=total, completed=done, left=left)
+        said = innermost(self._text, names, self._room)
+        self._bar.update(self._task, description=said, total=total, completed=done, left=left)
 
     def __enter__(self) -> Self:
         self._bar.start()

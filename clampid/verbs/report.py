@@ -15,6 +15,8 @@ from clampid.verbs.output import Output, output_file
 
 __all__ = ["report"]
 
+COMPARING_SHARE = 0.3  # of the time that a report takes
+
 
 def report(
     model: ModelFile,
@@ -39,6 +41,7 @@ def report(
     from clampid.comparison.compare import compare
     from clampid.loop.kept_diagnosis import kept_diagnosis, kept_file
     from clampid.models.model import load_model
+    from clampid.progress import substep
     from clampid.report import write_report
     from clampid.screen import Next, Screen
     from clampid.verbs.next_step import free_name
@@ -50,7 +53,8 @@ def report(
         (read,) = read_checked([folder], out)
     found = kept_diagnosis(model, read)
     with out.working("writing the report"):
-        compared = compare(loaded, read, seed=seed, user_effects=effects_from).to_json()
+        with substep("comparing", COMPARING_SHARE):
+            compared = compare(loaded, read, seed=seed, user_effects=effects_from).to_json()
         try:
             write_report(target, loaded, read, comparison=compared, diagnosis=found, user_effects=effects_from)
         except (ArithmeticError, LookupError, TypeError, AttributeError, ValueError) as error:

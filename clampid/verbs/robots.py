@@ -178,6 +178,7 @@ def _all(known: dict[str, RobotDescription]) -> Screen:
 
 def _one(given: str, robot: RobotDescription, svg: Path | None) -> Screen:
     from clampid.screen import Next, Screen
+    from clampid.verbs.next_step import free_name
     from kinematics.masses import links_of
 
     facts = [
@@ -190,9 +191,8 @@ def _one(given: str, robot: RobotDescription, svg: Path | None) -> Screen:
     coupled = ", ".join(f"motor {i} turns joint {j}" for i, j in _coupled(robot))
     gears = f"described; {coupled or 'nothing is coupled'}" if robot.transmission_known else "not described"
     facts.append(("transmission", gears))
-    steps = [
-        Next("Next, try the commands on a simulated one:", f"clampid simulate -o arm --robot {shlex.quote(given)}")
-    ]
+    simulate = shlex.join(["clampid", "simulate", "-o", str(free_name(Path("arm"))), "--robot", given])
+    steps = [Next("Next, try the commands on a simulated one:", simulate)]
     if svg is None:
         name = f"{Path(given).stem if Path(given).suffix else given}.svg"
         steps.append(Next("Draw it:", f"clampid robots {shlex.quote(given)} --svg {shlex.quote(name)}"))

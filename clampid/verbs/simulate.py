@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from enum import StrEnum
 from pathlib import Path
@@ -70,7 +71,8 @@ def simulate(
             output, robot, items, seed=seed, session=session, poses=poses, tables=only, file_format=file_format.value
         )
     ask = shlex.join(["clampid", "check", str(output)])
-    facts = (("campaign", str(output)), ("what was hidden", str(hidden_file(output))))
+    hidden = hidden_file(output) if output.is_absolute() else os.path.relpath(hidden_file(output))
+    facts = (("campaign", str(output)), ("what was hidden", str(hidden)))
     out.show(
         Screen(
             f"Measured a campaign on the virtual robot {robot}.",

@@ -35,6 +35,8 @@ def instrument_of(address: str) -> Callable[[], Instrument]:
     InstrumentError
         The address is none.
     """
+    if address.startswith("tcp://HOST:"):  # a command copied as a screen prints it
+        raise InstrumentError(f"instrument: expected its own address for HOST and PORT, found {address[:80]!r}")
     if address.startswith("tcp://"):
         try:
             at = host_and_port(address.removeprefix("tcp://"))

@@ -84,6 +84,8 @@ def parse_address(text: str) -> LinkAddress:
     found = _ADDRESS.fullmatch(text) if len(text) <= LONGEST_ADDRESS else None
     if found is None or not 0 < int(found[4]) < 65536 or not is_host(found[2] or found[3]):
         raise LinkError(f"link: expected SCHEME://HOST:PORT, found {text[:80]!r}")
+    if (found[2] or found[3]) == "HOST":  # a command copied as a screen prints it
+        raise LinkError(f"link: expected the robot's own address for HOST, found {text[:80]!r}")
     pairs = parse_qsl(found[5] or "", keep_blank_values=True)
     if len(dict(pairs)) != len(pairs):
         raise LinkError(f"link: expected each setting once, found one twice in {text[:80]!r}")

@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from cli_runner import Clampid
 
+from clampid.display import error_text
+
 
 @pytest.mark.slow
 def test_check(clampid: Clampid, whole: Path) -> None:
@@ -170,6 +172,22 @@ def test_export_dh_to_stdout_and_to_a_file(clampid: Clampid, model: Path, tmp_pa
     path = tmp_path / "dh.csv"
     assert clampid("export", "dh", model, "--convention", "hayati", "-o", path).code == 0
     assert path.read_text() == printed.out
+
+
+@pytest.mark.slow
+def test_the_table_is_the_best_for_a_controller_that_knows_tables_only(
+    clampid: Clampid, model: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "dh.csv"
+    ran = clampid("export", "dh", model, "-o", path, "--json", tmp_path / "best.json")
+    assert ran.code == 0, ran.err
+    fit = json.loads((tmp_path / "best.json").read_text())["fit"]
+    assert 0 < fit["rms_m"] < 0.9 * fit["static_rms_m"]
+    assert f"{error_text(fit['rms_m'], 'm')} rms where the model was measured" in ran.out
+    assert f"({error_text(fit['static_rms_m'], 'm')} with the model's own geometry)" in " ".join(ran.out.split())
+    ran = clampid("export", "dh", model, "--fit", "static", "--json", "-")
+    assert ran.code == 0, ran.err
+    assert ran.json["fit"] is None
 
 
 @pytest.mark.slow

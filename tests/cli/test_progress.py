@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
-from clampid.progress import Remaining, in_parts, left_in_words, listen, substep
+from clampid.progress import Remaining, in_parts, innermost, left_in_words, listen, substep
 from clampid.verbs.output import Output
 from experiments.campaign import read_campaign
 from experiments.simulate import simulate
@@ -91,6 +93,20 @@ def test_plain_lines_name_the_parts_and_the_time_left(clock, capsys) -> None:
     assert "  diagnosing: poses: scoring the candidates; 12 s so far, about 12 s left" in lines
 
 
+@pytest.mark.parametrize(
+    ("width", "said"),
+    [
+        (80, "mending: diagnosing: poses: scoring the candidates"),
+        (45, "diagnosing: poses: scoring the candidates"),
+        (40, "poses: scoring the candidates"),
+        (10, "scoring the candidates"),
+    ],
+)
+def test_of_parts_within_parts_the_innermost_are_named(width: int, said: str) -> None:
+    assert innermost("mending", "diagnosing: poses: scoring the candidates", width) == said
+    assert innermost("mending", "", width) == "mending"
+
+
 def test_quiet_says_nothing(clock, capsys) -> None:
     work(Output(quiet=True))
     assert capsys.readouterr() == ("", "")
@@ -108,10 +124,33 @@ def test_a_terminal_gets_a_bar_with_the_part(clock, monkeypatch, capsys) -> None
     assert "left" in text
 
 
-def test_a_diagnosis_says_where_it_is(tmp_path) -> None:
+def test_progress_on_a_terminal_is_one_line_without_ellipsis(clock, monkeypatch, capsys) -> None:
+    from rich.console import Console
+
+    out = Output()
+    out.__dict__["errors"] = Console(stderr=True, force_terminal=True, width=80)
+    monkeypatch.setenv("TERM", "xterm")
+    with out.working("mending"), substep("diagnosing", 0.8):
+        for _ in in_parts(("free_air", "poses"), str):
+            with substep("fitting the effects again"):
+                pass
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", lambda code: "" if code[0][-1] == "m" else "\n", capsys.readouterr().err)
+    lines = [line for line in re.split(r"[\r\n]+", text) if line.strip()]
+    assert max(map(len, lines)) <= 80
+    assert "…" not in text
+    assert any(re.match(r"poses: fitting the effects again +\S+ \d:\d\d:\d\d .* left", line) for line in lines), lines
+
+
+def test_a_diagnosis_and_a_report_say_where_they_are(tmp_path) -> None:
     from clampid.diagnosis.diagnose import diagnose
     from clampid.identification.identify import identify
+    from clampid.report import write_report
 
     campaign = read_campaign(simulate(tmp_path / "arm", seed=1, poses=25, tables=("poses",)))
-    names = [name for _, name in heard_of(lambda: diagnose(identify(campaign), campaign))]
-    assert {"fitting poses", "poses: fitting the effects again", "poses: scoring the candidates"} <= set(names)
+    models = []
+    assert "fitting poses" in [name for _, name in heard_of(lambda: models.append(identify(campaign)))]
+    model = models[0]
+    names = [name for _, name in heard_of(lambda: diagnose(model, campaign))]
+    assert {"poses: fitting the effects again", "poses: scoring the candidates"} <= set(names)
+    names = [name for _, name in heard_of(lambda: write_report(tmp_path / "report.html", model, campaign))]
+    assert {"residuals", "error budget", "DH table"} <= set(names)

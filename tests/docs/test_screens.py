@@ -1,6 +1,7 @@
 """The recorded screens: at most 24 lines of 80 columns, no word broken, and next commands that the program takes.
 
-That the simulated ones are what is printed today is held by test_examples; the real robot's are made again here.
+That the simulated ones are what is printed today is held by test_examples; the real robot's are made again here. The
+next commands that they offer are run, too.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -76,28 +78,57 @@ def test_a_wrong_command_does_not_parse(wrong: str) -> None:
     assert not parses(wrong)
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not REAL.is_dir(), reason="the real robot's campaign is not here")
-@pytest.mark.parametrize("verb", ["check", "identify", "compare", "ik"])
-def test_what_is_printed_of_the_real_robot_is_one_screen(verb: str, tmp_path: Path) -> None:
-    (tmp_path / "ur10_series_d").symlink_to(REAL)
+def run(command: str, folder: Path) -> str:
+    """Run a command as it is printed, at 80 columns; its exit code is 0. Give what it prints."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    env = {**os.environ, "PATH": path, "COLUMNS": "80"}
+    env = {**os.environ, "PATH": path, "COLUMNS": str(WIDTH)}
+    done = subprocess.run(["bash", "-c", command], cwd=folder, env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+    wide = [line for line in (done.stdout + done.stderr).splitlines() if len(line) > WIDTH]
+    assert wide == [], command
+    return done.stdout
 
-    def run(command: str) -> str:
-        return subprocess.run(
-            ["bash", "-c", command], cwd=tmp_path, env=env, capture_output=True, text=True, check=True
-        ).stdout
 
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_every_next_command_of_the_simulated_campaign_runs(tmp_path: Path) -> None:
+    """After each command of the page, what its screen offers is run in a copy of the folder, in the order offered."""
+    simulated = PAGE.read_text(encoding="utf-8").partition("\n## A real robot")[0]
+    first = re.search("<!-- first: (.*) -->", simulated)
+    assert first is not None
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    run(first[1], folder)
+    needs_an_address, tried = [], 0
+    for number, match in enumerate(BLOCK.finditer(simulated)):
+        if match["command"].startswith("clampid serve"):  # runs until interrupted
+            continue
+        printed = run(match["command"], folder)
+        copy = shutil.copytree(folder, tmp_path / f"copy{number}")
+        for offered in commands(printed):
+            if "HOST:" in offered:
+                needs_an_address.append(match["command"])
+                continue
+            assert len(run(offered, copy).splitlines()) <= HEIGHT
+            tried += 1
+    assert tried > len(VERBS)
+    assert needs_an_address == ["clampid run line.toml -o measured --dry-run"]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.skipif(not REAL.is_dir(), reason="the real robot's campaign is not here")
+@pytest.mark.parametrize("verb", VERBS)
+def test_what_is_printed_of_the_real_robot_is_one_screen(verb: str, tmp_path: Path) -> None:
+    (tmp_path / REAL.name).symlink_to(REAL)
     wanted = {command.split()[1]: (command, text) for command, text in SCREENS if "ur10" in command}
-    if verb in ("compare", "ik"):
-        run(wanted["identify"][0])
+    if verb in ("compare", "diagnose", "ik"):
+        run(wanted["identify"][0], tmp_path)
     command, text = wanted[verb]
-    printed = run(command)
+    printed = run(command, tmp_path)
     assert len(printed.splitlines()) <= HEIGHT
-    assert max(map(len, printed.splitlines())) <= WIDTH
     plain = re.compile(r"[-−+]?\d[\d.\u202f]*")
     assert plain.sub("#", " ".join(printed.split())) == plain.sub("#", " ".join(text.split()))
-    if verb == "check":
-        for one in commands(printed):
-            run(one)  # as it is printed
+    for offered in commands(printed):
+        if offered != wanted["diagnose"][0]:  # which has a test of its own
+            assert len(run(offered, tmp_path).splitlines()) <= HEIGHT

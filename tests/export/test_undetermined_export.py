@@ -9,27 +9,36 @@ import numpy as np
 import pytest
 
 from clampid.exports.determined import determined_shifts, fix_undetermined
-from clampid.exports.dh_export import NOT_DETERMINED, dh_export, dh_table
+from clampid.exports.dh_export import NOT_DETERMINED, calibrated_chain, dh_export, dh_table, postures
+from clampid.exports.kuka_export import kuka_machine_data
 from clampid.exports.urdf_export import urdf_export
 from clampid.identification.identify import identify
 from clampid.models.model import Model
 from clampid.report.limits import shifted
 from clampid.slots import Slot
 from experiments.campaign import read_campaign
+from kinematics.description import load_robot
+from kinematics.kuka import forward as machine_data_forward
+from kinematics.poe import forward
+from kinematics.urdf import read_urdf
 
 SERIES_D = Path(__file__).parents[3] / "shared" / "real" / "ur10_series_d"
 
 
-@pytest.fixture
-def loose(make_model) -> tuple[Model, int, int]:
+def loosened(model: Model) -> tuple[Model, int, int]:
     """A model that knows the sum of y of base and flange, and hardly their difference: both far from nominal."""
-    model = make_model("ur10", size=1e-4)
     stage = model.stages["poses"]
     a, b = (stage.slots.index(Slot("geometry", f"{end}_y", "session1")) for end in ("base", "flange"))
     theta, covariance = stage.theta.copy(), stage.covariance.copy()
     theta[[a, b]] = 0.0296, -0.0291
     covariance[np.ix_([a, b], [a, b])] += 0.006**2 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     return model.with_stage(replace(stage, theta=theta, covariance=covariance)), a, b
+
+
+@pytest.fixture
+def loose(make_model) -> tuple[Model, int, int]:
+    """Such a UR10."""
+    return loosened(make_model("ur10", size=1e-4))
 
 
 def test_undetermined_numbers_are_fixed_and_known_ones_kept(loose):
@@ -65,6 +74,23 @@ def test_table_marks_fixed_numbers_without_standard_error(loose):
     assert "fixed at its nominal value" in urdf_export(loose[0]).text
 
 
+def test_the_urdf_is_the_arm_with_what_is_not_determined_at_its_nominal_value(loose, tmp_path):
+    path = tmp_path / "robot.urdf"
+    path.write_text(urdf_export(loose[0]).text)
+    back, q = read_urdf(path, "flange"), postures(load_robot("ur10"))
+    there = forward(back.screws, back.flange, q)
+    np.testing.assert_allclose(there, calibrated_chain(fix_undetermined(loose[0]).model).flange(q), atol=1e-9)
+    assert np.abs(there - calibrated_chain(loose[0]).flange(q)).max() > 0.02
+
+
+def test_machine_data_are_of_the_arm_with_what_is_not_determined_at_its_nominal_value(make_model):
+    model = loosened(make_model("kuka_kr20_r1810", size=1e-4))[0]
+    q = postures(load_robot("kuka_kr20_r1810"))
+    there = machine_data_forward(kuka_machine_data(model).data, q)
+    assert np.abs(there - calibrated_chain(fix_undetermined(model).model).flange(q)).max() < 2e-3
+    assert np.abs(there - calibrated_chain(model).flange(q)).max() > 0.02
+
+
 @pytest.fixture(scope="module")
 def series_d() -> tuple[Model, Model]:
     """UR10 series D with geometry alone, and with springs that are no part of a table."""
@@ -86,11 +112,12 @@ def test_a_constant_of_the_table_has_no_standard_error_of_rounding(series_d):
 
 def test_the_ur10_table_keeps_its_nominal_last_offset(series_d):
     """The probe's mount absorbs it: 174.5 mm were exported, nominal is 92.2 mm."""
-    table = dh_table(series_d[0], "hayati")
-    row = table[table["row"] == "6"].iloc[0]
-    assert row["d_m"] == pytest.approx(0.0922, abs=0.002)
-    assert np.isnan(row["std_d_m"])
-    assert "d_m" in row[NOT_DETERMINED].split()
+    for model in series_d:
+        table = dh_table(model, "hayati")
+        row = table[table["row"] == "6"].iloc[0]
+        assert row["d_m"] == pytest.approx(0.0922, abs=0.002)
+        assert np.isnan(row["std_d_m"])
+        assert "d_m" in row[NOT_DETERMINED].split()
     said = dh_export(series_d[0], "hayati").said
     assert any("row 6: d_m 0.091" in line and "(nominal 0.0922)" in line for line in said), said
     assert any(line.startswith("the measured frame is mounted at -89.9 deg on the flange") for line in said), said
@@ -128,6 +155,32 @@ def test_the_best_table_has_standard_errors_of_the_whole_model(make_model):
         ratio = both[0][column].dropna().to_numpy() / np.maximum(both[1][column].dropna().to_numpy(), 1e-12)
         used = both[1][column].dropna().to_numpy() > 1e-7
         assert np.all((ratio[used] > 0.6) & (ratio[used] < 1.5))
+
+
+def test_an_uncertain_spring_makes_the_best_table_uncertain(series_d):
+    """By as much as the table moves with it, found at a fifth of the postures; the model's own geometry does not."""
+    model = series_d[1]
+    stage = model.stages["poses"]
+    k = stage.slots.index(Slot("joint_compliance", "c", "joint2"))
+    more = 20.0 * stage.std[k]
+    theta, covariance = stage.theta.copy(), stage.covariance.copy()
+    theta[k] += more
+    covariance[k, k] += more**2
+    softer, unsure = (model.with_stage(replace(stage, **new)) for new in ({"theta": theta}, {"covariance": covariance}))
+    rows = [f"{i}" for i in range(1, 7)]
+
+    def column(model: Model, name: str, fit: str = "best") -> np.ndarray:
+        table = dh_table(model, "hayati", fit=fit)
+        return table[table["row"].isin(rows)][name].to_numpy(float)
+
+    for name in ("theta_offset_rad", "a_m"):
+        std = f"std_{name}"
+        moved = np.abs(column(softer, name) - column(model, name))
+        gained = np.sqrt(np.maximum(column(unsure, std) ** 2 - column(model, std) ** 2, 0.0))
+        assert np.argmax(gained) == np.argmax(moved) == 1
+        assert gained[1] == pytest.approx(moved[1], rel=0.25)
+        assert moved.max() > column(model, std).max()
+        np.testing.assert_allclose(column(unsure, std, "static"), column(model, std, "static"), rtol=1e-6)
 
 
 def test_shifts_of_what_is_not_determined_are_not_shown():

@@ -7,6 +7,8 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from clampid.cli import run
+from experiments.instruments.connect import instrument_of
+from experiments.instruments.protocol import InstrumentError
 from experiments.links import address as address_module
 from experiments.links.address import LinkAddress, installed, open_link, parse_address
 from experiments.links.protocol import LinkError
@@ -31,6 +33,13 @@ def test_addresses(text: str, found: LinkAddress) -> None:
 def test_what_is_no_address(text: str) -> None:
     with pytest.raises(LinkError, match="link: expected"):
         parse_address(text)
+
+
+def test_a_placeholder_is_no_address() -> None:
+    with pytest.raises(LinkError, match=r"robot's own address for HOST, found 'eki://HOST:54600'"):
+        parse_address("eki://HOST:54600")
+    with pytest.raises(InstrumentError, match="its own address for HOST and PORT, found 'tcp://HOST:PORT'"):
+        instrument_of("tcp://HOST:PORT")
 
 
 def test_an_unknown_scheme_lists_what_is_installed() -> None:

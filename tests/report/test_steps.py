@@ -46,6 +46,22 @@ def test_steps_and_what_was_rejected_beside_each() -> None:
     assert [row["Held out after#"] for row in why] == ["300 µm", "–"]
 
 
+def test_a_step_that_is_known_from_its_prior_is_marked() -> None:
+    """On held-out rows of the UR10 cross-coupled stiffness has p = 0.23, which else would confirm nothing."""
+    by_prior = step("cross_coupled_stiffness@joint4", p_held_out=0.231, from_prior=0.52, rejected=[])
+    by_rows = step("bearing_tilt@joint4", p_held_out=0.001, from_prior=0.52, rejected=[])
+    section = steps_section(model(step(), by_prior, by_rows), None)
+    assert section is not None
+    table = section.blocks[1]
+    assert isinstance(table, Table)
+    held_out = [row[table.columns.index("p, held out#")] for row in table.rows]
+    assert held_out == ["0.23 (prior)", "0.0010"]
+    assert "(prior)" in table.caption
+    section = steps_section(model(step(), by_rows), None)
+    assert section is not None
+    assert "(prior)" not in section.blocks[1].caption  # type: ignore[union-attr]
+
+
 def test_what_was_added_by_hand_has_no_such_section() -> None:
     assert steps_section(model(step(), step("backlash@joint1", heldout_rms_before=1e-4)), None) is None
     assert steps_section(model(step(p_familywise=0.005, rejected=[])), None) is None  # nothing was added
