@@ -26,14 +26,14 @@ from experiments.plans.errors import PlanError
 
 __all__ = ["parting_plan", "separating_plan", "showing_plan", "weak_ones"]
 
-BETTER = 0.5  # of the present limit: the aim where a parameter of its usual size would be found already
+BETTER = 0.5  # of the present limit: what is to be reached where a parameter of its usual size would be found already
 WARMTH = frozenset({"link_temperature", "motor_temperature", "ambient_temperature", "elapsed"})
 
 
 def parting_plan(
     campaign: Campaign, estimate: Estimate, rivals: Sequence[Scored], scale: float, seed: int
 ) -> NextPlan | None:
-    """Measurements that distinguish candidates.
+    """Measurements that part candidates.
 
     Raises
     ------
@@ -51,10 +51,10 @@ def separating_plan(
     most: int,
     states: Sequence[str] = STATES,
 ) -> tuple[NextPlan, tuple[int, ...]] | None:
-    """Measurements that distinguish the two candidates of several pairs, and the numbers of the pairs they are for.
+    """Measurements that part the two of each of several pairs, and the numbers of the pairs that they are for.
 
-    The smallest number that distinguishes any pair, chosen for as many pairs as possible; None if no measurement helps.
-    If the allowed number does not suffice for one pair, that number is proposed all the same.
+    As few as part any pair, and so chosen that they part as many pairs as possible. None where none parts any. Where as
+    many as are allowed do not suffice for one pair, they are proposed all the same.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def separating_plan(
 def _fewest(
     rivals: Sequence[Rivals], pools: Sequence[tuple[Array, Sequence[Array]]], pool: Pool, most: int
 ) -> Separation:
-    """The smallest number of batches that distinguishes a pair, for as many pairs as possible; else all allowed."""
+    """The smallest number of batches that parts any pair, for as many pairs as it parts; else all that are allowed."""
     for allowed in (*range(pool.batch, most, pool.batch), most):
         found = part_each(rivals, pools, enough=ENOUGH, batch=pool.batch, most=allowed, cost=pool.cost)
         if not found.pairs or found.parted:
@@ -114,20 +114,20 @@ def _fewest(
 
 
 def _preferred(proposed: NextPlan, pairs: Sequence[int]) -> tuple[bool, int, int, float]:
-    """The order of proposals: whether it helps, with how few measurements, and for how many pairs."""
+    """What is compared of two proposals: whether it helps, with how few measurements, and for how many pairs."""
     return proposed.helps, -len(proposed.chosen), len(pairs), proposed.after if not proposed.helps else 0.0
 
 
 def showing_plan(
     campaign: Campaign, estimate: Estimate, weak: Sequence[Weak], scale: float, seed: int
 ) -> NextPlan | None:
-    """Measurements that test parameters which the rows test too weakly; see `parting_plan`."""
+    """Measurements in which parameters show that are tested too weakly; see `parting_plan`."""
     pool = _pool_of(campaign, estimate, seed)
     return propose_testing(pool, estimate, weak, scale, _states(estimate, [w.scored.candidate for w in weak]))
 
 
 def _states(estimate: Estimate, candidates: Sequence[Candidate]) -> tuple[str, ...]:
-    """``warm`` only, if neither fit nor candidates depend on temperature or time."""
+    """``warm`` alone where neither fit nor candidates know of any warmth."""
     names = {slot.effect for slot in estimate.slots} | {c.name for c in candidates}
     needs = {signal for name in names for signal in estimate.problem.effects[name].needs}
     return STATES if needs & WARMTH or estimate.problem.kind.points else STATES[:1]
@@ -160,10 +160,10 @@ def weak_ones(
     Parameters
     ----------
     scores
-        Scores of the candidates, with the null distribution that decides.
+        What was seen of the candidates, with the null that decides.
     names
-        ``effect`` or ``effect@joint3``: these only, even if a usual size would be found already; then the aim is half
-        of the present limit. Empty: all.
+        ``effect`` or ``effect@joint3``: these only, whether a usual size would be found or not; then half of the
+        present limit is aimed at. All otherwise.
 
     Raises
     ------

@@ -1,9 +1,10 @@
-"""Choice of further measurements by the T-criterion, the other explanation fitted again.
+"""Which further measurements tell what the rows so far do not: the T-criterion, the other explanation fitted again.
 
-To distinguish two candidates: if one of them is true, with its estimated size, which sum of squares does a model with
-the other one leave? To test a candidate: which sum of squares does a model without it leave, if it has the size that is
-to be found? Measurements are chosen to make this sum, in units of the noise's variance, large. Source: Atkinson &
-Fedorov, The design of experiments for discriminating between two rival models, Biometrika 62, 1975.
+If one of two candidates is what is there, of the size that the rows show, how much of it would a model with the other
+one instead leave unexplained? And of a candidate that the rows cannot test: how much of it, of the size that is to be
+found, would a model without it leave? That sum of squares, in units of the noise, is what measurements are to make
+large. Source: Atkinson & Fedorov, The design of experiments for discriminating between two rival models, Biometrika 62,
+1975.
 """
 
 from __future__ import annotations
@@ -30,13 +31,13 @@ class Parting:
     chosen
         Numbers in the pool, in the order of their choice.
     before, after
-        Sum of squares that the closest distinguishable pair leaves unexplained of each other, in units of variance:
-        now, and with these.
+        What the closest pair that can be parted leaves unexplained of each other, in units of variance: now, and with
+        these.
     shared
         Share of its signal that the closest pair has in common, 0 to 1: now, and with these.
     never
-        Pairs of candidates that the whole pool does not distinguish, their share in common, and the sum of squares
-        that they leave unexplained of each other.
+        Pairs of candidates that the whole pool together does not part, the share that they would still have in common,
+        and what they would leave unexplained of each other.
     """
 
     chosen: tuple[int, ...]
@@ -53,11 +54,11 @@ class Rivals:
     Attributes
     ----------
     nuisance, columns
-        Whitened columns ``(M, P)`` of the fitted parameters, and ``(M, k)`` of each candidate, in the rows so far.
+        Whitened columns ``(M, P)`` of what is fitted in any case, and ``(M, k)`` of each candidate, in the rows so far.
     values
-        ``(k,)``: estimates of each candidate from the rows.
+        ``(k,)``: what the rows make of each candidate.
     precision
-        ``(P, P)``: the prior of the fitted parameters.
+        ``(P, P)``: the prior of what is fitted in any case.
     """
 
     nuisance: Array
@@ -95,10 +96,10 @@ class Separation:
     pairs
         Numbers of the pairs that they were chosen for.
     before, after
-        ``(pairs,)``: sum of squares that the two of each pair leave unexplained of each other, in units of variance:
-        now, and with the measurements.
+        ``(pairs,)``: what the two of each of these leave unexplained of each other, in units of variance: now, and with
+        the measurements.
     parted
-        Whether it is enough for each of them.
+        Whether that is enough for each of them.
     """
 
     chosen: tuple[int, ...]
@@ -109,7 +110,7 @@ class Separation:
 
 
 RIDGE = 1e-10
-"""Prior weight of a direction, in units of its column's: undetermined directions must not explain a new row."""
+"""Prior weight of a direction, in units of its own column's: what nothing determines must not explain a new row."""
 
 
 class _Normal:
@@ -156,7 +157,7 @@ class _Normal:
 
 
 class _Signal:
-    """The sum of squares of a signal that a model without it leaves, as measurements are added."""
+    """What a model leaves of a signal that it does not have, as measurements are added."""
 
     def __init__(self, normal: _Normal, X: Array, y: Array, pool_y: Array) -> None:
         self.normal, self.pool_y = normal, pool_y
@@ -167,7 +168,7 @@ class _Signal:
         return max(self.squares - float(self.b @ self.normal.solved(self.b)), 0.0)
 
     def gains(self) -> Array:
-        """Increase of that sum by each measurement of the pool, with the model fitted again."""
+        """By how much each measurement of the pool would raise it, the model fitted again."""
         left = self.pool_y - self.normal.pool_X @ self.normal.solved(self.b)
         return np.asarray(np.einsum("kr,kr->k", left, np.linalg.solve(self.normal.spread, left[..., None])[..., 0]))
 
@@ -193,9 +194,9 @@ def part(
     most: int,
     cost: Array | None = None,
 ) -> Parting:
-    """Choose measurements that distinguish candidates, greedily, always for the closest pair, in batches.
+    """Choose measurements that part candidates, greedily, always for the pair that is closest, in batches.
 
-    Pairs that the whole pool does not distinguish are left out, unless these are all.
+    Pairs that not even the whole pool parts are left out, unless that is all of them.
 
     Parameters
     ----------
@@ -244,11 +245,11 @@ def part_each(
     most: int,
     cost: Array | None = None,
 ) -> Separation:
-    """Choose measurements that distinguish the two candidates of several pairs; each pair has its own fit.
+    """Choose measurements that part the two of each of several pairs, each pair beside a fit of its own.
 
-    They are chosen as by `part`. Pairs that the whole pool does not distinguish are left out. If the allowed number
-    does not distinguish all other pairs, the pair with the least evidence is left out, repeatedly. The last pair is
-    kept.
+    They are chosen as by `part`. Of pairs that the measurements allowed do not part together, the one that is farthest
+    from it is left out, again and again; of those that not even the whole pool parts, all are. The last one is kept,
+    if the whole pool parts it.
 
     Parameters
     ----------
@@ -296,7 +297,7 @@ def _each_beside_another(
 
 
 def _closest(signals: Mapping[tuple[int, int], _Signal], alone: Sequence[_Signal]) -> tuple[float, float]:
-    """Sum of squares that the closest pair leaves unexplained of each other, and its share in common."""
+    """What the closest pair leaves unexplained of each other, and the share that it has in common."""
     left = {k: signal.left() for k, signal in signals.items()}
     closest = min(left, key=lambda k: left[k])
     return left[closest], _shared(left[closest], alone[closest[0]].left())
@@ -318,7 +319,7 @@ def show(
     most: int,
     cost: Array | None = None,
 ) -> Showing:
-    """Choose measurements that show signals, greedily, always for the weakest signal, in batches.
+    """Choose measurements in which signals show, greedily, always for the one that is farthest from it, in batches.
 
     Parameters
     ----------
@@ -327,8 +328,7 @@ def show(
     signals, pool_signals
         Whitened signals ``(M,)`` in the rows so far, of the size that is to be found, and ``(K, r)`` in the pool.
     enough
-        Sum of squares that a model without it shall leave of each signal. Signals below it with the whole pool are
-        given up.
+        What a model without it shall leave of each signal. Those of which the whole pool leaves less are given up.
     """
     count = nuisance.shape[1]
     normal = _Normal(nuisance, np.zeros((count, count)), pool_nuisance)

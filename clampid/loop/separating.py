@@ -57,7 +57,7 @@ class Separating:
     def __init__(self, seed: int = 0, budget: int = 0) -> None:
         self._seed, self._budget = seed, budget
         self._open: list[tuple[Term, Term]] = []
-        self._reported: set[tuple[Term, Term]] = set()
+        self._told: set[tuple[Term, Term]] = set()
         self._expected: Counter[tuple[Term, Term]] = Counter()
 
     def next(self, campaign: Campaign, stage: Stage, left: int) -> Next:
@@ -125,8 +125,8 @@ class Separating:
         apart = {p.terms: p.apart for p in pairs if p.apart <= -SAME}
         gone = [two for two in self._open if two not in still and two not in apart]
         apart |= {two: evidence_apart(fitted, *two, others) for two in gone}
-        new = {two: value for two, value in apart.items() if two not in self._reported}
-        self._reported = {*apart} | (self._reported - still)
+        new = {two: value for two, value in apart.items() if two not in self._told}
+        self._told = {*apart} | (self._told - still)
         self._open = [two for two in self._open if two in still]
         return [_verdict(*two, value) for two, value in new.items()]
 

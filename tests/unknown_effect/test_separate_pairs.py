@@ -44,7 +44,7 @@ def test_no_more_than_is_allowed_and_the_hardest_pair_is_left_out() -> None:
     assert few.parted
 
 
-def test_inseparable_pairs_are_left_out_and_costly_ones_still_chosen() -> None:
+def test_what_no_measurement_separates_is_left_out_and_what_takes_more_is_still_chosen() -> None:
     assert chosen([pair(10.0), pair(0.0, aliased=True)], 40).pairs == (0,)
     none = chosen([pair(0.0, aliased=True)], 40)
     assert (none.chosen, none.pairs) == ((), ())
