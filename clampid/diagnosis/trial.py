@@ -223,8 +223,8 @@ class Bench:
         The plain error must fall as well: whitened errors of a log emphasise brief effects, and alone they would
         confirm effects that raise the printed error.
 
-        An effect that only a prior identifies, such as an undeclared tool, need not lower the held-out error. It must
-        not raise it, and its parameters must differ clearly from zero.
+        An effect that only a prior identifies (an undeclared tool, say) may leave the held-out error, not raise it. Its
+        parameters must differ clearly from zero.
         """
         effect = self.effects[best.candidate.name]
         if effect.event is not None:

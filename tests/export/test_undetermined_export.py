@@ -41,7 +41,7 @@ def loose(make_model) -> tuple[Model, int, int]:
     return loosened(make_model("ur10", size=1e-4))
 
 
-def test_undetermined_numbers_are_fixed_and_known_ones_kept(loose):
+def test_what_is_not_determined_is_held_and_what_is_known_stays(loose):
     model, a, b = loose
     fixed = fix_undetermined(model)
     assert fixed.combinations == ("base_y@session1, flange_y@session1",)
