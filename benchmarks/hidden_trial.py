@@ -58,7 +58,8 @@ def clean_trial(world: World, seed: int, poses: int, stages: Sequence[str]) -> l
         verdict = diagnose(model, campaign, stages=[stage]).to_json()["stages"][stage]
         row = {"kind": "clean", "case": f"nothing/{stage}", "stage": stage, "size": 0.0, "seed": seed, **bench.setup}
         row |= told_by(verdict) | {"seconds": process_time() - start, "rows": rows_of(campaign, stage)}
-        true_of_it = verdict["verdict"] == "missing" and {c["name"] for c in verdict["candidates"]} <= bench.present
+        named = {c["name"] for c in verdict["candidates"]}
+        true_of_it = verdict["verdict"] in ("missing", "ambiguous") and named <= bench.present
         out.append(row | {"right": verdict["verdict"] == "adequate" or true_of_it})
     return out
 

@@ -173,9 +173,7 @@ def scores_of(
     if estimate.noise.autocorrelations:  # learned from what wanders, too
         short = whitened_by(estimate, estimate.noise.of_short_memory)
         clearest = _scores_of(short, effects, flips, seed, granted, block).clearest
-        wandering = with_wander(short, clearest, wander)
-        if wandering is None:
-            return found
+        wandering = with_wander(short, clearest, wander) or wandering
     # What the fit absorbs, but for rounding and for noise in its columns (a scale, of measured positions), it absorbs.
     shown = {s.candidate.label for s in found.named if s.freedom}
     del found  # as large as its rows and all that is active

@@ -221,25 +221,20 @@ class Bench:
         table must fall in any case.
 
         The plain error must fall as well: whitened errors of a log emphasise brief effects, and alone they would
-        confirm effects that raise the printed error.
-
-        An effect that only a prior identifies (an undeclared tool, say) may leave the held-out error, not raise it. Its
-        parameters must differ clearly from zero.
+        confirm effects that raise the printed error. An effect that only a prior identifies (an undeclared tool, say)
+        may leave the held-out error, not raise it. Its parameters must differ clearly from zero.
         """
         effect = self.effects[best.candidate.name]
-        if effect.event is not None:
+        raises = new.p_above(held_out, new.noise, self.seed) <= HELD_OUT_RATE
+        if not self._plain(best):
             p = event_p(trial, effect.name, self.seed)
-            return p, p <= HELD_OUT_RATE
-        if effect.scanned is not None:
-            p = event_p(trial, effect.name, self.seed)
-            return p, p <= HELD_OUT_RATE and new.p_above(held_out, new.noise, self.seed) > HELD_OUT_RATE
+            return p, p <= HELD_OUT_RATE and not (raises and effect.scanned is not None)
         p = held_out.p_above(new, new.noise, self.seed)
         if self.verification is not None and p > 0.5 * HELD_OUT_RATE:
             p = either_p(p, terms_p(trial, kept, self.seed))
         if p <= HELD_OUT_RATE and held_out.exceed(new):
             return p, True
-        by_prior = best.assumed > MOSTLY and new.p_above(held_out, new.noise, self.seed) > HELD_OUT_RATE
-        return p, by_prior and bool(kept) and pays(trial, kept)
+        return p, best.assumed > MOSTLY and not raises and bool(kept) and pays(trial, kept)
 
     def _judged(
         self, fits: Sequence[_Along], scores: CandidateScores, held_out: HeldOut, refused: Collection[str]
@@ -344,9 +339,8 @@ class Bench:
             found, _ = self.decided(scores, whole, self.held_out(whole))
             if isinstance(found, Tried):
                 alone = self._fitted_with(found, fitted, held_out)
-                if alone.reason:
-                    return GivenAmbiguity(None, [undecided], [alone], wander)
-                return GivenAmbiguity(alone, [], [], wander)
+                found, refused = (None, [alone]) if alone.reason else (alone, [])
+                return GivenAmbiguity(found, [undecided] if refused else [], refused, wander)
             if found is None:
                 break
             groups.append(found)
