@@ -166,7 +166,7 @@ class Parameter:
 
     @property
     def clear(self) -> float:
-        """The standard error below which rows tell it: its size, and no more than half of what the prior says."""
+        """The standard error below which the rows identify it: its size, at most half of its prior's deviation."""
         return self.size if self.shape else min(self.size, 0.5 * self.prior_std)
 
     def geared(self, ratio: float) -> Parameter:
@@ -217,7 +217,7 @@ class Effect:
         Whether it holds the arm's weight: a joint that bears none, such as an upright one, does not have it.
     sized_by
         Its shape parameter that is the size of all its amplitudes, which are counted in it and have a prior of one.
-        Where nobody gives it, the rows do (:mod:`clampid.evidence.of_size`); a fit holds it.
+        If it is not given, it is estimated from the rows (:mod:`clampid.evidence.of_size`); a fit keeps it fixed.
     aligns
         An effect with a curve of each joint's own, of which this one says that they are one curve, turned and mirrored.
         From nothing it has no start: it begins with that effect's curves, aligned (:mod:`clampid.evidence.alignment`),
@@ -226,7 +226,7 @@ class Effect:
     event
         Its shape parameter that says when, in ``sweep_progress``, of an effect that happens once. It shows in the sweep
         in which it happens, and like the posture at which that was clamped its amplitudes are that sweep's own: no
-        other sweep tells them. Diagnosis tries every time; a fit begins at the likeliest.
+        other sweep identifies them. Diagnosis tries every time; a fit begins at the likeliest.
     scanned
         Its shape parameter that says where, along the angle of its joint, an effect on that angle sits that is nothing
         elsewhere. Diagnosis tries every place that poses visited (:mod:`clampid.evidence.scan`), with every value of
@@ -304,7 +304,7 @@ class Effect:
 
     @property
     def of_session(self) -> bool:
-        """Whether all its amplitudes are of single sessions: it says nothing of others."""
+        """Whether all its amplitudes belong to single sessions, so that it predicts nothing for others."""
         kinds = {p.per for p in self.parameters if not p.shape}
         return kinds == {"session"}
 

@@ -75,7 +75,7 @@ class Candidate:
     describes: tuple[str, ...] = ()
 
     def is_variant_of(self, other: Candidate) -> bool:
-        """Whether both are one verdict at the same places, and fits tell which: of one family, or cause and outcome."""
+        """Whether both are one verdict at the same places and fits decide: of one family, or cause and outcome."""
         kin = self.family == other.family or self.name in other.describes or other.name in self.describes
         return kin and self.places == other.places
 

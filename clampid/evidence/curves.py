@@ -19,7 +19,7 @@ __all__ = ["CurvePart", "Curves", "coefficient_names", "curves_of", "turned", "w
 
 @dataclass(frozen=True)
 class Curves:
-    """What rows say of the joints' own curves, and the shape of what is assumed of them.
+    """Information of the rows on the joints' own curves, and the shape of their prior.
 
     Coefficients of a joint are in the order of harmonics, sine and cosine of each: ``2 K``.
 

@@ -79,13 +79,13 @@ class StageErrors:
 
 
 def noise_floor(rows: Rows, residual: Array) -> Floor:
-    """What noise alone leaves.
+    """The noise floor.
 
-    Poses: from returns to a pose that share directions and, within 0.5 K, temperatures, where there are enough; else
-    what the instrument's maker states. Torques: the smaller of two figures, motor by motor. One is how the residual
-    changes within a few rows, so that a missing effect that varies with posture is no noise. The other has no part in
-    the model: what a regression on rigid-body dynamics and friction leaves of torques that it has not seen. It counts
-    where it is smaller by more than two standard errors; then the model lacks something that these rows know.
+    Poses: from repeated poses with the same directions and, within 0.5 K, temperatures, if there are enough; else the
+    noise stated by the instrument's maker. Torques: the smaller of two figures, motor by motor. One is the change of
+    the residual within a few rows, so that a missing effect that varies with posture is not counted as noise. The other
+    is independent of the model: the held-out error of a regression on rigid-body dynamics and friction. It counts if it
+    is smaller by more than two standard errors; then the model lacks an effect that these rows determine.
     """
     if rows.kind.points:
         return _pose_floor(rows)

@@ -28,7 +28,7 @@ DRAWS_AT_ONCE = 200  # draws whose matrices are held at once
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """What drawing poses anew says of a stage's parameters.
+    """Standard errors and intervals of a stage's parameters by a bootstrap over poses.
 
     Attributes
     ----------

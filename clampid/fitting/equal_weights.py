@@ -156,7 +156,7 @@ def gradient_power(columns: Array, groups: Grouping, predictors: Predictors) -> 
 
 
 def informed(plain: Moments, power: Array, precision: Array, mean: Array, size: Array, free: Bools) -> Moments:
-    """What a fit with equal weights tells, beside its prior: sums with N M^-1 N in place of N, where both are least.
+    """Information of a fit with equal weights, without prior: sums with N M^-1 N in place of N, where both are least.
 
     Parameters
     ----------

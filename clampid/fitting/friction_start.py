@@ -32,7 +32,7 @@ START_PASSES = 2
 def with_friction_start(
     problem: FitProblem, priors: Sequence[Prior], start: Mapping[Slot, float]
 ) -> Mapping[Slot, float]:
-    """The start of a fit with values of all slots, where poses have to tell a friction that nothing is known of.
+    """Initial values of all slots for a fit in which only the poses identify a friction.
 
     Raises
     ------

@@ -176,7 +176,7 @@ def _strained(problem: FitProblem, theta: Array) -> Array:
 
 
 def _stands(sweeps: _Sweeps, live: Bools) -> Iterator[tuple[int, list[list[int]]]]:
-    """Motors, and the sweeps through which each stood still with a friction that no motion tells; one a clamping."""
+    """Motors, and the sweeps through which each stood still with an unknown friction; one per clamping."""
     keys, n = sweeps.keys, live.shape[1]
     for motor in np.flatnonzero(live.any(axis=0)):
         stands: list[list[int]] = []

@@ -1,4 +1,4 @@
-"""What nobody knows of an arm's masses is part of the errors of springs that its weight winds up.
+"""The uncertainty of an arm's masses is part of the errors of springs that its weight winds up.
 
 Where neither the description nor a torque log says what the links weigh, loads are those of a usual arm, and how far
 they may be from it is uncertainty that no pose takes away: a spring twice as soft under half the weight is the same.

@@ -254,6 +254,6 @@ def freedom_of(estimate: Estimate) -> tuple[int, int]:
 
 
 def _information(estimate: Estimate) -> Array:
-    """What the rows tell of the slots ``(P, P)``, in units of reasonable sizes, without the prior."""
+    """Information of the rows on the slots ``(P, P)``, in units of plausible sizes, without the prior."""
     size = estimate.problem.sizes()
     return projected(estimate.whitened.normal * np.outer(size, size), len(estimate.slots))

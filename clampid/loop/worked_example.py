@@ -47,7 +47,7 @@ class WorkedExample:
     printed_alone, printed_full
         m: displacement by the printed constants, spring 5 alone and the whole matrix.
     drives
-        What the clamped sweeps told.
+        Result of the clamped sweeps.
     alone, full
         m, value and standard error, as found.
     """
