@@ -40,7 +40,7 @@ class Confirmed:
 
     def entry(self, effects: dict[str, Effect], estimate: Estimate) -> dict[str, Any]:
         """As the contract lists it, its parameters those of the last fit."""
-        return self.tried.entry(effects, self.before, estimate)
+        return self.tried.entry(effects, self.before.rms, estimate)
 
     def step(self, entry: dict[str, Any]) -> Step:
         """For the ledger."""
@@ -87,6 +87,6 @@ def _without(bench: Bench, steps: Sequence[Confirmed], dropped: Confirmed, last:
         out.append(replace(step, tried=tried, base=base, before=held_out))
         base, held_out = fitted, tried.held_out
     reason = f"it does not lower the held-out error once {last.best.candidate.label} is in the model"
-    gone = dropped.tried.refusal(bench.effects, dropped.before, reason)
+    gone = dropped.tried.refusal(bench.effects, dropped.before.rms, reason)
     refused = (*dropped.refused, *steps[-1].refused, gone)
     return [*out, replace(steps[-1], tried=last, base=base, before=held_out, refused=refused)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -52,13 +52,6 @@ class HeldOut:
         size, counts = size_of(self.rows, self.residual, self.floor)
         squares = np.where(counts, size**2, 0.0)
         return np.asarray(squares if squares.ndim == 1 else squares.sum(axis=1))
-
-    def rms_beside(self, other: HeldOut) -> float:
-        """The rms, in the stage's unit, of the rows that count beside another model's errors, too.
-
-        Each model finds single wrong rows for itself; two models are compared on the same rows.
-        """
-        return rms_of(replace(self.rows, used=self.rows.used & other.rows.used), self.residual, self.floor)
 
     def white_squares(self, noise: Noise) -> Array:
         """Of a log: squared errors ``(N,)`` whitened by that noise, in units of it."""

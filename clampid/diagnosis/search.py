@@ -88,7 +88,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
         finer = bench.folds or folds_of(rows, _on_trial(scores, others), effects)
         if finer is not None and finer is not bench.folds:
             return finer
-        refused = [t.refusal(effects, held_out) for t in others]
+        refused = [t.refusal(effects, held_out.rms) for t in others]
         if isinstance(tried, Undecided) and not rows.kind.points and tried.alike(effects, bench.elsewhere):
             taken.append(bench.taken(tried, fitted, held_out, len(steps)))
             fitted, held_out = taken[-1].fitted, taken[-1].held_out
@@ -96,7 +96,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
             if isinstance(tried, Undecided):
                 given = bench.confirm_given_ambiguity(tried, fitted, held_out, number)
                 tried, undecided, wander = given.found, given.groups, max(wander, given.wander)
-                refused += [t.refusal(effects, held_out) for t in given.refused]
+                refused += [t.refusal(effects, held_out.rms) for t in given.refused]
             if tried is None:
                 break
             steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held_out, tuple(refused))], dropped)

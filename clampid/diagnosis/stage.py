@@ -104,7 +104,7 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     result.folds, first, fitted = bench.folds, fitted.estimate, outcome.fitted
     result.noise_floor = floor.norm if kind_of(stage).points else 1.0
     held_out, scores, probe = outcome.held_out, outcome.scores, outcome.first_scores.probe
-    result.before, result.after = outcome.before.rms_beside(held_out), held_out.rms_beside(outcome.before)
+    result.before, result.after = outcome.before.rms, held_out.rms
     result.depends_on = list(probe.candidate.depends_on) if outcome.first_scores.fires and probe is not None else []
     refused = _set_down(result, outcome.steps, outcome.refused, effects, fitted.estimate)
     if outcome.taken or outcome.undecided:
@@ -189,9 +189,8 @@ def _undecided(
         for s in group.members:
             before, after = result.after, None
             if here is not None:
-                before = here.before.rms_beside(here.held_out)
                 fitted_along = s is group.members[0]
-                after = here.held_out.rms_beside(here.before) if fitted_along else bench.alone(here.base, s)
+                before, after = here.before.rms, here.held_out.rms if fitted_along else bench.alone(here.base, s)
             elif number == 1:  # those beside them were found in another fit
                 after = bench.alone(fitted, s)
             scores = group.scores

@@ -43,21 +43,20 @@ class Tried:
     reason: str
     confusable: list[dict[str, Any]] = field(default_factory=list)
 
-    def entry(self, effects: dict[str, Effect], before: HeldOut, estimate: Estimate) -> dict[str, Any]:
-        """As the contract lists it, the held-out errors without it given, and the fit that has its parameters."""
-        null, errors = self.scores.named_null, (before.rms_beside(self.held_out), self.held_out.rms_beside(before))
+    def entry(self, effects: dict[str, Effect], before: float, estimate: Estimate) -> dict[str, Any]:
+        """As the contract lists it, the held-out rms without it given, and the fit that has its parameters."""
+        null, after = self.scores.named_null, self.held_out.rms
         return {
-            **entry_of(self.best, null, effects, errors, estimate, self.kept),
+            **entry_of(self.best, null, effects, (before, after), estimate, self.kept),
             "stability": self.stability,
             "p_held_out": self.p_held_out,
             "confusable_with": self.confusable,
         }
 
-    def refusal(self, effects: dict[str, Effect], before: HeldOut, reason: str = "") -> dict[str, Any]:
+    def refusal(self, effects: dict[str, Effect], before: float, reason: str = "") -> dict[str, Any]:
         """The same of one that is refused, with its reason or another; its parameters are the score's."""
         scale = self.scores.space.scale
-        errors = (before.rms_beside(self.held_out), self.held_out.rms_beside(before))
-        entry = entry_of(self.best, self.scores.named_null, effects, errors, scale=scale)
+        entry = entry_of(self.best, self.scores.named_null, effects, (before, self.held_out.rms), scale=scale)
         outcome = {"stability": self.stability, "p_held_out": self.p_held_out, "reason": reason or self.reason}
         return {**entry, **outcome}
 

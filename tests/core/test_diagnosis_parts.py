@@ -239,7 +239,7 @@ def test_correlated_candidates_that_do_not_lower_the_held_out_error_are_no_tie(s
     refused = bench._undecided(false[0], false[1:], scores, fitted, held_out)
     assert isinstance(refused, Tried)
     assert refused.reason
-    entry = refused.refusal(dict(opened.effects), held_out)
+    entry = refused.refusal(dict(opened.effects), held_out.rms)
     assert entry["parameters"]
     tie = bench._undecided(false[0], [joints["joint2",]], scores, fitted, held_out)
     assert isinstance(tie, Undecided)
