@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from clampid.catalogue import catalogue
 from clampid.diagnosis.candidate_scores import rivals_of
 from clampid.diagnosis.linear_refit import step_towards
+from clampid.diagnosis.pruning import pays
 from clampid.diagnosis.remains import CLEARLY, above_the_floor
 from clampid.diagnosis.tried import Tried, Undecided
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
@@ -243,6 +244,16 @@ def test_correlated_candidates_that_do_not_lower_the_held_out_error_are_no_tie(s
     assert entry["parameters"]
     tie = bench._undecided(false[0], [joints["joint2",]], scores, fitted, held_out)
     assert isinstance(tie, Undecided)
+
+
+def test_only_parameters_that_differ_clearly_from_zero_are_justified(simulated: Callable[..., Campaign]):
+    campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
+    opened = on_campaign(identify(campaign, {"poses": ("geometry", "joint_compliance")}), campaign)
+    fitted = opened.refit("poses")
+    true, false = (Term("gear_eccentricity", place) for place in ("joint2", "joint4"))
+    estimate = refits(opened)([*fitted.model.terms, true, false], fitted, {}).estimate
+    assert pays(estimate, [true])
+    assert not pays(estimate, [false])
 
 
 @pytest.mark.parametrize("times", [0.9, 1.05, 1.5])
