@@ -12,6 +12,7 @@ import os
 import random
 import signal
 import socket
+import sys
 import tempfile
 import threading
 from collections import Counter
@@ -113,7 +114,8 @@ def _session(plan: Plan, folder: Path, asked: Callable[[], Any]) -> None:
     """One runner, in a process of its own."""
     try:
         run(plan, folder, asked())
-    except PlanError:
+    except PlanError as error:
+        print(f"refused: {error}", file=sys.stderr, flush=True)
         os._exit(2)
     except (RunStopped, ValueError):
         os._exit(3)
@@ -174,7 +176,8 @@ def kill_and_resume(
             gone = before - now
             counts.lost += sum(n for key, n in gone.items() if not (key[0] == "clamped" and key[1] in voided(entries)))
             before = now
-        if process.exitcode == 0:
+        # Killed between its end and its exit, a run leaves its campaign and no work folder; a second call is refused.
+        if process.exitcode == 0 or (any((folder / "journals").glob("*.jsonl")) and not work_folder(folder).exists()):
             break
         if process.exitcode == 2:
             raise RuntimeError("the call was refused: nothing would ever be measured")
@@ -207,8 +210,6 @@ def _strike(kind: str, controller: Any, process: Any, relay: Relay) -> None:
 
 
 def main() -> None:
-    import sys
-
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "runs"))
     from run_controller import CLAMPED, Controller, clamping_plan, free_air_plan, poses_plan
 
