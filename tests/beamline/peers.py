@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import re
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
+# The port is free until the peer binds it, as no outgoing connection is given one below (Linux from 32 768).
+LOWEST_PORT, HIGHEST_PORT = 20_000, 32_000
 
 
 def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as found:
-        return int(found.getsockname()[1])
+    while True:
+        port = random.SystemRandom().randint(LOWEST_PORT, HIGHEST_PORT)
+        with socket.socket() as tried, suppress(OSError):
+            tried.bind(("127.0.0.1", port))
+            return port
 
 
 def free_udp_and_tcp() -> int:
