@@ -1,10 +1,10 @@
 """Which rows are held out together: whole runs where runs are exchangeable, else parts of runs.
 
-A held-out run is predicted from the others. If it lies outside their range in a variable of a candidate, such as
-temperature, this tests an extrapolation and not the candidate: a cold run does not predict a warm one. Then each run is
-cut into contiguous pieces, one for every part of the rows, so that each piece lies between others of its own run.
-Pieces are at least four units of noise long. The first and last unit of each piece share noise with its neighbours;
-they are fitted and not judged.
+A held-out run is predicted from the others. If what it shows of a candidate lies outside their range in a variable of
+the candidate, this tests an extrapolation and not the candidate: a cold run does not predict a warm one, nor slow runs
+the curvature of friction that only the fastest shows. Then each run is cut into contiguous pieces, one for every part
+of the rows, so that each piece lies between others of its own run. Pieces are at least four units of noise long. The
+first and last unit of each piece share noise with its neighbours; they are fitted and not judged.
 
 Source: Roberts et al., Cross-validation strategies for data with temporal, spatial, hierarchical, or phylogenetic
 structure, Ecography 40, 2017: blocks in time, and no extrapolation between them.
@@ -19,14 +19,17 @@ from typing import Any
 import numpy as np
 
 from clampid.effect import Effect
-from clampid.evidence.candidates import Candidate
+from clampid.evidence.score import Scored
+from clampid.evidence.space import Space
+from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Array, Bools, Integers, Rows
 
-__all__ = ["PARTS", "Folds", "extrapolated_in", "folds_of", "parts_of_runs", "stability_folds"]
+__all__ = ["PARTS", "Folds", "evidence_of", "extrapolated_in", "folds_of", "parts_of_runs", "stability_folds"]
 
 PARTS = 5
 UNITS = 4  # of noise, of which a piece consists at least: its first and last are not judged
-MOSTLY = 0.5  # of the rows, which lie outside the other runs' ranges
+MARGIN = 0.02  # of a range's width: runs of one program repeat their speeds no better
+MOSTLY = 0.5  # of a candidate's evidence, which lies outside the other runs' ranges
 
 
 @dataclass(frozen=True)
@@ -59,50 +62,89 @@ class Folds:
     def sentence(self) -> str:
         """For people: what was held out, and why."""
         names = " and ".join(name.replace("_", " ").replace("elapsed", "time") for name in self.because)
-        return f"Parts of runs are held out, not whole runs: most of each run lies outside the others in {names}."
+        return (
+            "Parts of runs are held out, not whole runs: most of what shows an effect lies where a run is outside the "
+            f"others in {names}."
+        )
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
         return {"held_out": "parts of runs", "because": list(self.because)}
 
 
-def folds_of(rows: Rows, candidates: Sequence[Candidate], effects: Mapping[str, Effect]) -> Folds | None:
-    """Parts of runs if whole runs would test an extrapolation of one of the candidates; else None."""
+def folds_of(
+    estimate: Estimate, space: Space, candidates: Sequence[Scored], effects: Mapping[str, Effect]
+) -> Folds | None:
+    """Parts of runs if whole runs would test an extrapolation of one of the candidates; else None.
+
+    Parameters
+    ----------
+    space
+        In which the candidates were scored on the estimate's residual.
+    """
+    rows = estimate.problem.rows
     if not rows.kind.moving:  # sweeps have constants of their own, and poses are not ordered by anything
         return None
     because: dict[str, None] = {}
-    for candidate in candidates:
-        because |= dict.fromkeys(extrapolated_in(rows, effects[candidate.name], candidate.places))
+    for s in candidates:
+        evidence, c = evidence_of(s, space, estimate.whitened.entry, len(rows)), s.candidate
+        because |= dict.fromkeys(extrapolated_in(rows, effects[c.name], c.places, evidence))
     if not because:
         return None
     fold, judged = parts_of_runs(rows)
     return Folds(fold, judged, tuple(because))
 
 
-def extrapolated_in(rows: Rows, effect: Effect, places: Sequence[str]) -> tuple[str, ...]:
-    """Signals that an effect needs, in which most rows lie outside the ranges of all runs but their own."""
+def evidence_of(s: Scored, space: Space, entry: Integers, rows: int) -> Array:
+    """How much of a candidate each row shows ``(N,)``: the squares of its whitened columns that the fit cannot absorb.
+
+    Zero where it does not act, or where the rows of the motors on which it acts are not used.
+
+    Parameters
+    ----------
+    entry
+        ``(M,)``: the row of each whitened number.
+    """
+    columns = s.candidate.columns.dense(space.rows)
+    acts = np.any(columns != 0.0, axis=1)
+    left = (columns - space.basis[: space.rows] @ s.absorbed) @ s.weights
+    return np.asarray(np.bincount(entry[acts], np.sum(left[acts] ** 2, axis=1), rows), dtype=float)
+
+
+def extrapolated_in(rows: Rows, effect: Effect, places: Sequence[str], evidence: Array) -> tuple[str, ...]:
+    """Signals that an effect needs, in which most evidence lies outside the ranges of all runs but its own.
+
+    Parameters
+    ----------
+    evidence
+        ``(N,)``: how much of the effect each row shows.
+    """
     joints = [int(place.removeprefix(effect.per)) - 1 for place in places if place.startswith(effect.per)]
-    used = rows.used.any(axis=1)
+    shows = evidence > 0.0
     found = []
     for name in effect.needs:
         values = rows.signals.get(name)
-        if values is None or values.ndim > 2:
+        if values is None or values.ndim > 2 or not shows.any():
             continue
         columns = values[:, None] if values.ndim == 1 else values[:, joints] if joints else values
         columns = columns[:, np.ptp(columns, axis=0) > 0.0]
-        if columns.shape[1] and np.mean(_outside(columns[used], rows.fold[used])) > MOSTLY:
+        if not columns.shape[1]:
+            continue
+        outside = _outside(columns[shows], rows.fold[shows]).mean(axis=1)
+        if np.average(outside, weights=evidence[shows]) > MOSTLY:
             found.append(name)
     return tuple(found)
 
 
 def _outside(columns: Array, run: Integers) -> Bools:
-    """Which numbers ``(N, k)`` lie outside the ranges of all runs but their own."""
+    """Which numbers ``(N, k)`` lie clearly outside the ranges of all runs but their own."""
     runs = np.unique(run)
     inside = np.zeros(columns.shape, dtype=bool)
     for k in runs:
         mine = run == k
         low, high = columns[mine].min(axis=0), columns[mine].max(axis=0)
-        inside |= ~mine[:, None] & (columns >= low) & (columns <= high)
+        margin = MARGIN * (high - low)
+        inside |= ~mine[:, None] & (columns >= low - margin) & (columns <= high + margin)
     return ~inside
 
 

@@ -13,7 +13,7 @@ from clampid.diagnosis.folds import Folds, folds_of
 from clampid.diagnosis.held_out import HeldOut
 from clampid.diagnosis.trial import Bench
 from clampid.diagnosis.tried import Taken, Tried, Undecided
-from clampid.evidence.candidates import Candidate
+from clampid.evidence.score import Scored
 from clampid.identification.fitted_stage import FittedStage
 
 __all__ = ["Searched", "search"]
@@ -73,8 +73,10 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     """
     rows, effects = fitted.estimate.problem.rows, bench.effects
     scores = bench.scores(fitted, 0)
-    if bench.folds is None and (finer := folds_of(rows, _on_trial(scores), effects)) is not None:
-        return finer
+    if bench.folds is None:
+        finer = folds_of(fitted.estimate, scores.space, _on_trial(scores), effects)
+        if finer is not None:
+            return finer
     before, first_scores = bench.held_out(fitted), scores.remembered
     held_out = before
     steps: list[Confirmed] = []
@@ -85,7 +87,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     wander = 0.0
     for number in range(1, SEARCH_ROUNDS + 1):
         tried, others = bench.decided(scores, fitted, held_out)  # a ranking is valid for one step
-        finer = bench.folds or folds_of(rows, _on_trial(scores, others), effects)
+        finer = bench.folds or folds_of(fitted.estimate, scores.space, _on_trial(scores, others), effects)
         if finer is not None and finer is not bench.folds:
             return finer
         refused = [t.refusal(effects, held_out.rms) for t in others]
@@ -107,7 +109,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held_out, scores, wander)
 
 
-def _on_trial(scores: CandidateScores, refused: Sequence[Tried] = ()) -> list[Candidate]:
+def _on_trial(scores: CandidateScores, refused: Sequence[Tried] = ()) -> list[Scored]:
     """The candidates on trial: the best name of some scores, and those that were refused after it."""
     best = scores.best()
-    return [*([] if best is None else [best.candidate]), *(t.best.candidate for t in refused)]
+    return [*([] if best is None else [best]), *(t.best for t in refused)]

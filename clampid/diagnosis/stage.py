@@ -44,6 +44,7 @@ from clampid.stages.stage_kind import kind_of
 
 __all__ = ["diagnose_stage"]
 
+WANDERS_MORE = 1.2  # times the variance per step: less changes no standard error by more than a tenth
 FAR_OFF = 2.0  # of the largest plausible noise: more is not noise, even if the stated accuracies are optimistic
 
 Propose = Callable[[Estimate, Sequence[Scored], float], NextPlan | None]
@@ -85,13 +86,13 @@ def _searched(fitted: FittedStage, bench: Bench) -> tuple[Bench, Searched]:
     """The result of a search, and the bench with the parts of the rows that were held out.
 
     If whole runs would not test a candidate on trial, the search starts again with parts of runs held out. It also
-    starts again if the readings wander more in the last fit than where something was found: the missing effect had
-    hidden part of their wandering, so that slow changes were confirmed too easily.
+    starts again if the readings wander clearly more in the last fit than where something was found: the missing effect
+    had hidden part of their wandering, so that slow changes were confirmed too easily.
     """
     outcome = search(bench, fitted)
     if isinstance(outcome, Folds):
         return _searched(fitted, replace(bench, folds=outcome))
-    if not bench.wander and outcome.wander > outcome.least_wander:
+    if not bench.wander and outcome.wander > WANDERS_MORE * outcome.least_wander:
         return _searched(fitted, replace(bench, wander=outcome.wander))
     return bench, outcome
 

@@ -325,7 +325,7 @@ class Bench:
 
         The first of them is fitted and the others are granted to the model, so that errors which any of them could
         explain are not evidence. Fitting all of them would be slow, along a valley of the cost, without a gain. Effects
-        confirmed in this way are then fitted without the candidates.
+        confirmed in this way are then fitted without the candidates. A variant of one of them would decide for it.
 
         Parameters
         ----------
@@ -337,6 +337,8 @@ class Bench:
             whole, scores = self._along(groups, fitted, whole, number)
             wander = max(wander, scores.wander)
             found, _ = self.decided(scores, whole, self.held_out(whole))
+            if isinstance(found, Tried) and any(group.refined_by(found.best.candidate) for group in groups):
+                break
             if isinstance(found, Tried):
                 alone = self._fitted_with(found, fitted, held_out)
                 found, refused = (None, [alone]) if alone.reason else (alone, [])

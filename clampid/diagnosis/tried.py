@@ -10,6 +10,7 @@ from clampid.diagnosis.candidate_scores import ALIASED, CandidateScores
 from clampid.diagnosis.entries import entry_of
 from clampid.diagnosis.held_out import HeldOut
 from clampid.effect import Effect, Stage
+from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored, canonical, explained_together
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
@@ -76,6 +77,10 @@ class Undecided:
             if canonical(first, s) <= ALIASED or both - min(first.explained, s.explained) > ONE:
                 return False
         return not any(set(elsewhere) & set(stages_with(effects[s.candidate.name])) for s in self.members)
+
+    def refined_by(self, candidate: Candidate) -> bool:
+        """Whether another candidate is a variant of one of them at its places, as higher harmonics of a ripple are."""
+        return any(candidate.is_variant_of(s.candidate) for s in self.members)
 
     def taken(self, effects: Mapping[str, Effect]) -> Undecided:
         """The same, with one that does not act in poses first, if there is any: torques should not move the flange."""

@@ -1,0 +1,19 @@
+"""Effects of the second world that once had another's name, or none."""
+
+from __future__ import annotations
+
+import pytest
+from hidden_trial import hidden_trial
+from hidden_worlds import WORLDS
+
+SECOND = WORLDS["second"]
+OF_ITS_SIZE = 0.8  # of the noise
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("label", ["power_viscous_friction/free_air", "gravity_compensator/free_air"])
+def test_the_cause_is_named_whatever_its_shape(label: str):
+    """Grease that thins is no quadratic law; what a spring has beyond two harmonics does not make a ripple of it."""
+    case = next(c for c in SECOND.cases["single"] if c.label == label)
+    found = hidden_trial(SECOND, case, OF_ITS_SIZE, 142, 200, best=False)
+    assert found["right"], found["candidates"]
