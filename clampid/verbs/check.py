@@ -119,12 +119,17 @@ def _iso9283(campaign: Campaign, out: Output) -> dict[str, Any]:
             error = as_sent(rows, catalogue()).residual
             norms = np.linalg.norm(error[rows.used[:, 0], :3], axis=1)
             found[table] = metrics_of(rows, error) | {"universal": norm_metrics(norms)}
-            _leave_out_absorbed(campaign.tables[table], error.shape[1], found[table])
+            fitted, numbers = _leave_out_absorbed(campaign.tables[table], error.shape[1], found[table])
             show_iso9283(table, found[table], out)
+            if fitted < numbers:
+                out.say(
+                    f"{table}: base and targets are fitted to {numbers} numbers and take up {fitted} of them: "
+                    "the larger that share, the more AP comes out too small"
+                )
     return found
 
 
-def _leave_out_absorbed(frame: DataFrame, numbers: int, found: dict[str, Any]) -> None:
+def _leave_out_absorbed(frame: DataFrame, numbers: int, found: dict[str, Any]) -> tuple[int, int]:
     """Leave out AP where base and targets, fitted to the same rows, fit so few places exactly.
 
     Parameters
@@ -135,13 +140,20 @@ def _leave_out_absorbed(frame: DataFrame, numbers: int, found: dict[str, Any]) -
         Of a row: 3, or 6 with orientations.
     found
         The metrics of the table; those of accuracy are moved to what is not determinable.
+
+    Returns
+    -------
+    tuple of int
+        How many numbers are fitted, and to how many.
     """
     places, targets = len(frame[["pose", "target"]].drop_duplicates()), frame["target"].nunique()
-    if numbers * places > 6 + (3 * targets if numbers == 3 else 6):
-        return
+    fitted = 6 + (3 * targets if numbers == 3 else 6)
+    if numbers * places > fitted:
+        return fitted, numbers * places
     for kind in ("position", "orientation"):
         if kind in found and found[kind].pop("AP", None) is not None:
             found[kind]["not_determinable"]["AP"] = "base and targets, fitted to so few poses, fit them exactly"
+    return fitted, numbers * places
 
 
 def _stated(campaign: Campaign) -> Iterator[str]:

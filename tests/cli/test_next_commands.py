@@ -140,6 +140,8 @@ def test_no_accuracy_is_stated_where_base_and_targets_fit_the_poses_exactly(clam
     assert "AP" not in position
     assert "fit them exactly" in position["not_determinable"]["AP"]
     assert 5e-6 < position["RP"]["mean"] < 2e-4
+    shown = clampid("check", one_pose, "--iso9283", "-q", "--verbose").out
+    assert "take up" not in shown
 
 
 @pytest.mark.parametrize(("targets", "like"), [({}, ""), ({"T1": [0.0, 0.0, 0.1]}, "--like few ")])
