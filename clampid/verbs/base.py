@@ -95,7 +95,7 @@ def _touched(path: Path, file: Path | None, rigid: bool, effects_from: Path | No
     back = "" if rigid else f"; tip put back by up to {length(found.put_back)}"
     facts = (
         *_frame(found.base, found.std, found.bias, rigid),
-        ("misfit", agree),
+        ("residuals", agree),
         ("arm", f"{found.arm}{back}"),
     )
     if found.outliers:
@@ -129,7 +129,7 @@ def _show(found: BaseFrame, campaign: Path, rigid: bool, out: Output) -> None:
             facts=(
                 *_frame(found.base, found.std, found.bias, rigid),
                 ("axes 1, 2", f"beyond the description: angle {angle}, distance {apart}"),
-                ("misfit", f"rms {length(found.rms)} from the circles"),
+                ("residuals", f"rms {length(found.rms)} from the circles"),
                 ("springs", f"{found.springs}{back}"),
             ),
             notes=NOTES if rigid else (TAKEN_OUT, *NOTES),

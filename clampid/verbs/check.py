@@ -14,6 +14,8 @@ from clampid.verbs.options import Json, OneCampaign, Quiet, Verbose
 from clampid.verbs.output import Output
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
     from clampid.effect import Effect
     from experiments.campaign import Campaign
 
@@ -33,6 +35,7 @@ def check(
     from clampid.catalogue import catalogue
     from clampid.identification.identify import stages_of, standard_effects
     from clampid.stages.stage_kind import kind_of
+    from clampid.verbs.screens import more_poses
     from experiments.campaign import CampaignError, read_campaign
     from experiments.checks.check import check_campaign, holdings
     from experiments.long_log import LONG_ROWS
@@ -72,7 +75,9 @@ def check(
     ]
     wrong = sum(f.severity == "error" for f in findings)
     measured = {} if wrong or not iso9283 else _repeated(read, out)
-    out.show(check_screen(holds, stages, shown, campaign, measured, list(_stated(read))))
+    fits = not iso9283 or all(f.severity != "error" for f in check_campaign(read, fits=True))
+    plan = () if fits else more_poses(read, campaign)
+    out.show(check_screen(holds, stages, shown, campaign, measured, list(_stated(read)), plan))
     out.result({**holds, "stages": stages, "findings": shown, **measured})
     if wrong:
         first = next(finding_text(f) for f in findings if f.severity == "error")
@@ -114,8 +119,41 @@ def _iso9283(campaign: Campaign, out: Output) -> dict[str, Any]:
             error = as_sent(rows, catalogue()).residual
             norms = np.linalg.norm(error[rows.used[:, 0], :3], axis=1)
             found[table] = metrics_of(rows, error) | {"universal": norm_metrics(norms)}
+            fitted, numbers = _leave_out_absorbed(campaign.tables[table], error.shape[1], found[table])
             show_iso9283(table, found[table], out)
+            if fitted < numbers:
+                out.say(
+                    f"{table}: base and targets are fitted to {numbers} numbers and take up {fitted} of them: "
+                    "the larger that share, the more AP comes out too small"
+                )
     return found
+
+
+def _leave_out_absorbed(frame: DataFrame, numbers: int, found: dict[str, Any]) -> tuple[int, int]:
+    """Leave out AP where base and targets, fitted to the same rows, fit so few places exactly.
+
+    Parameters
+    ----------
+    frame
+        The table of poses.
+    numbers
+        Of a row: 3, or 6 with orientations.
+    found
+        The metrics of the table; those of accuracy are moved to what is not determinable.
+
+    Returns
+    -------
+    tuple of int
+        How many numbers are fitted, and to how many.
+    """
+    places, targets = len(frame[["pose", "target"]].drop_duplicates()), frame["target"].nunique()
+    fitted = 6 + (3 * targets if numbers == 3 else 6)
+    if numbers * places > fitted:
+        return fitted, numbers * places
+    for kind in ("position", "orientation"):
+        if kind in found and found[kind].pop("AP", None) is not None:
+            found[kind]["not_determinable"]["AP"] = "base and targets, fitted to so few poses, fit them exactly"
+    return fitted, numbers * places
 
 
 def _stated(campaign: Campaign) -> Iterator[str]:

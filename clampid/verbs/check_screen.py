@@ -17,7 +17,13 @@ Json = Mapping[str, Any]
 
 
 def check_screen(
-    holds: Json, stages: Json, findings: Sequence[Json], campaign: Path, measured: Json, stated: Sequence[str]
+    holds: Json,
+    stages: Json,
+    findings: Sequence[Json],
+    campaign: Path,
+    measured: Json,
+    stated: Sequence[str],
+    more: tuple[Next, ...] = (),
 ) -> Screen:
     """What ``check`` found.
 
@@ -33,6 +39,8 @@ def check_screen(
         Metrics of ISO 9283 by table, and repeatability along a line, where they were asked for.
     stated
         What is known beforehand, in words.
+    more
+        What to do next where the poses are too few for a fit; empty where they are enough.
     """
     facts = [(name, f"{count_text(t['rows'])} rows: {contents(t)}") for name, t in holds["tables"].items()]
     facts += [("known", line) for line in stated]
@@ -60,7 +68,7 @@ def check_screen(
         tone,
         tuple(said),
         "All effects and findings: --verbose, --json FILE.",
-        (again,) if counts["error"] else (fit,) if stages else (),
+        (again,) if counts["error"] else more or ((fit,) if stages else ()),
     )
 
 

@@ -94,15 +94,18 @@ def _json(table: Imported) -> dict[str, Any]:
 
 def _pairing_facts(pairing: Pairing) -> list[tuple[str, str]]:
     """The result of pairing two logs, in a few lines."""
+    from clampid.display import error_text, with_error
+
     clock, (ours, theirs) = pairing.clock, pairing.stops
     offset = f"{clock.offset_s:.3f} ± {clock.offset_std_s:.2g} s at {clock.middle_s:.0f} s of the instrument's clock"
+    drift = with_error(1e6 * clock.drift, 1e6 * clock.drift_std, "")
     facts = [
         ("pairs", f"{len(pairing.pairs)}, of {ours} stops of the instrument and {theirs} of the robot"),
         ("robot's clock", f"instrument's + {offset}"),
-        ("drift", f"{1e6 * clock.drift:.2f} ± {1e6 * clock.drift_std:.2g} ppm, from {clock.events} starts and ends"),
+        ("drift", f"{drift} ppm, from {clock.events} starts and ends"),
     ]
     if pairing.geometry_rms_m is not None:
-        facts.append(("geometry", f"rms {1e3 * pairing.geometry_rms_m:.3g} mm about the nominal arm"))
+        facts.append(("geometry", f"rms {error_text(pairing.geometry_rms_m, 'm')} about the nominal arm"))
     counts = Counter(f"{one.log}: {one.reason}" for one in pairing.left_out)
     for reason, count in counts.most_common(MAX_REASONS):
         facts.append(("left out", f"{count} of {reason}"))

@@ -14,6 +14,7 @@ from clampid.verbs.options import Json, Quiet
 from clampid.verbs.output import Output
 
 if TYPE_CHECKING:
+    from clampid.screen import Next
     from experiments.campaign import Campaign
     from experiments.plans.model import Plan
     from experiments.runs.people import Person
@@ -181,9 +182,25 @@ def _stopped(why: str, asked: Asked, again: str, out: Output) -> None:
     out.result({"finished": False, "why": why, "rows": rows, "resume": again})
 
 
+def _after(output: Path) -> Next:
+    """What to do with the campaign: fit it, or see how its few poses repeat, or look at what is wrong with it."""
+    from clampid.screen import Next
+    from experiments.campaign import read_campaign
+    from experiments.checks.check import check_campaign
+    from experiments.long_log import LONG_ROWS
+
+    read = read_campaign(output, rows_in_memory=LONG_ROWS)
+    if all(found.severity != "error" for found in check_campaign(read, fits=True)):
+        return Next("Next, fit a model:", shlex.join(["clampid", "identify", str(output), "-o", f"{output}.json"]))
+    look = ["clampid", "check", str(output)]
+    if any(found.severity == "error" for found in check_campaign(read)):
+        return Next("Next, see what is wrong with it:", shlex.join(look))
+    return Next("Next, see how accurate and repeatable the robot is:", shlex.join([*look, "--iso9283"]))
+
+
 def _done(plan_file: Path, output: Path, outcome: Outcome, out: Output) -> None:
     from clampid.display import counted
-    from clampid.screen import Next, Screen
+    from clampid.screen import Screen
 
     rows = ", ".join(f"{counted(count, 'row')} of {name}" for name, count in outcome.rows.items())
     early = [outcome.enough] if outcome.enough else []
@@ -191,9 +208,7 @@ def _done(plan_file: Path, output: Path, outcome: Outcome, out: Output) -> None:
         Screen(
             f"Ran {plan_file} and wrote {output}: {rows}.",
             notes=(*early, *outcome.notes, *(f"skipped: {text}" for text in outcome.skipped)),
-            next=(
-                Next("Next, fit a model:", shlex.join(["clampid", "identify", str(output), "-o", f"{output}.json"])),
-            ),
+            next=(_after(output),),
         )
     )
     out.result(

@@ -26,6 +26,7 @@ __all__ = [
     "fit_screen",
     "history_screen",
     "mended_screen",
+    "more_poses",
     "typed",
     "undo_screen",
 ]
@@ -71,7 +72,8 @@ def _judged(rows: Sequence[tuple[str, float | None, float | None]]) -> tuple[str
         said = floor_text((error, floor) for _, error, floor in rows)
         return f"{said[0].upper()}{said[1:]}.", "good"
     times, name = max(far)
-    return f"{name}: the held-out error is {times:.2g} times the noise floor, so an effect may be missing.", "open"
+    shown = f"{times:.2g}" if times < 99.5 else f"{times:.0f}"  # not 1e+03
+    return f"{name}: the held-out error is {shown} times the noise floor, so an effect may be missing.", "open"
 
 
 def fit_screen(
@@ -131,7 +133,7 @@ def fit_screen(
     steps: tuple[Next, ...] = (Next("Next, find out what is missing:", ask),)
     if lacking:
         verdict, tone = "The model fits its rows and does not predict others: do not use it.", "bad"
-        steps = _more_poses(read[0], campaigns[0], lacking[0])
+        steps = () if lacking[0] is None else more_poses(read[0], campaigns[0], lacking[0])
     return Screen(
         f"Fitted {model} to {_campaigns(campaigns)}.",
         Errors(_title(list(stages)), ("nominal", "this model", "noise floor"), tuple(rows)),
@@ -144,20 +146,19 @@ def fit_screen(
     )
 
 
-def _more_poses(campaign: Campaign, folder: Path, poses: int | None) -> tuple[Next, ...]:
-    """The command that plans as many poses as a fit needs; none where no number is known.
+def more_poses(campaign: Campaign, folder: Path, poses: int | None = None) -> tuple[Next, ...]:
+    """The command that plans as many poses as a fit needs; without a number, as many as the plan takes by default.
 
     A campaign without targets measured the flange itself, with its orientation: the plan then assumes a tool.
     """
-    if poses is None:
-        return ()
     robot = str(campaign.header.get("robot", campaign.robot.name))
     own = folder / robot
     output = free_name(Path("plan.toml"))
     like: list[str | Path] = ["--like", folder] if campaign.targets else []
     described = own if own.is_file() else robot
-    call = typed("plan", "poses", "--robot", described, *like, "--poses", str(poses), "-o", output)
-    return (Next("Next, plan as many poses as this fit needs:", call),)
+    count = [] if poses is None else ["--poses", str(poses)]
+    call = typed("plan", "poses", "--robot", described, *like, *count, "-o", output)
+    return (Next("Next, plan as many poses as a fit needs:", call),)
 
 
 def _once(labels: Sequence[str]) -> list[str]:
@@ -203,8 +204,7 @@ def comparison_screen(
         if wrong := (table.get("heldout") or {}).get("outliers"):
             kind = "an outlier" if len(wrong) == 1 else "outliers"
             said.append(f"{name}: {counted(len(wrong), 'held-out row', 'was')} rejected as {kind}.")
-    if (data.get("compensation") or {}).get("summary"):
-        said.append(f"poses: {data['compensation']['summary']}")
+    said += _compensation_notes(data)
     verdict, tone = _judged(judged)
     heads = ("nominal", "this model", "noise floor")
     ask = typed("diagnose", model, campaign, effects_from=effects_from)
@@ -218,6 +218,15 @@ def comparison_screen(
         "Fitted rows, motors, ISO 9283 and largest errors: --verbose, --json FILE.",
         (Next("Next, find out what is missing:", ask),),
     )
+
+
+def _compensation_notes(data: Json) -> list[str]:
+    """What the poses say of the controller's own compensation, and what to do where it is wrong."""
+    found = data.get("compensation") or {}
+    said = [f"poses: {found['summary']}"] if found.get("summary") else []
+    if found.get("mistake"):
+        said.append("poses: Correct the controller's compensation and measure again before you add effects.")
+    return said
 
 
 def diagnosis_screen(data: Json, done: str, written: Sequence[str], steps: Sequence[Next]) -> Screen:
@@ -235,7 +244,7 @@ def diagnosis_screen(data: Json, done: str, written: Sequence[str], steps: Seque
         (),
         headline(stages),
         outcome(stages),
-        (*written, *_notes(stages)),
+        (*written, *_compensation_notes(data), *_notes(stages)),
         "Evidence, values and detection limits: --verbose, --json FILE.",
         tuple(steps),
     )

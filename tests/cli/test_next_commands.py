@@ -7,12 +7,15 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 from cli_runner import Clampid, Ran
 
 from clampid.screen import HEIGHT, WIDTH
+from clampid.verbs.run import _after
 from clampid.verbs.screens import fit_screen
+from experiments.campaign import write_campaign
 from experiments.simulate import simulate
 
 
@@ -101,6 +104,44 @@ def test_a_dry_run_is_one_screen_and_lists_every_motion_on_demand(
     assert next_command(short)[:2] == ["run", "fixed.toml"]
     assert "reading" not in short.err
     assert len(whole.out.splitlines()) > len(short.out.splitlines()) + 20
+
+
+@pytest.fixture
+def one_pose(tmp_path: Path) -> Path:
+    """A campaign of one pose, measured five times: too little for a fit, enough for repeatability."""
+    rng = np.random.default_rng(2)
+    table = pd.DataFrame({"pose": 1, "visit": range(1, 6), "time_s": np.arange(5.0)})
+    for joint, angle in enumerate((0.2, -1.0, 1.2, 0.1, 0.3, 0.2)):
+        table[f"q{joint + 1}_rad"], table[f"dir{joint + 1}"] = angle, 1
+    table["target"] = "T1"
+    table[["x_m", "y_m", "z_m"]] = np.array([1.0, 0.5, 0.8]) + rng.normal(0.0, 2e-5, (5, 3))
+    header = {
+        "robot": "kuka_kr20_r1810", "gravity_m_s2": [0.0, 0.0, -9.81], "targets_m": {"T1": [0.1, 0.0, 0.12]},
+        "tool": {"mass_kg": 12.0, "com_m": [0.0, 0.0, 0.08]}, "instrument": {"name": "none", "position_std_m": 2e-5},
+    }  # fmt: skip
+    return write_campaign(tmp_path / "still", header, {"poses": table})
+
+
+def test_poses_that_are_too_few_for_a_fit_offer_no_fit(
+    clampid: Clampid, one_pose: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(one_pose.parent)
+    assert clampid("identify", "still", "-o", "model.json", "-q").code == 2
+    ran = clampid("check", "still", "--iso9283", "-q")
+    assert next_command(ran) == shlex.split("plan poses --robot kuka_kr20_r1810 --like still -o plan.toml")
+    after = _after(Path("still"))
+    assert shlex.split(after.command) == ["clampid", "check", "still", "--iso9283"]
+    assert clampid(*next_command(ran), "-q").code == 0
+
+
+def test_no_accuracy_is_stated_where_base_and_targets_fit_the_poses_exactly(clampid: Clampid, one_pose: Path) -> None:
+    ran = clampid("check", one_pose, "--iso9283", "-q", "--json", "-")
+    position = ran.json["iso9283"]["poses"]["position"]
+    assert "AP" not in position
+    assert "fit them exactly" in position["not_determinable"]["AP"]
+    assert 5e-6 < position["RP"]["mean"] < 2e-4
+    shown = clampid("check", one_pose, "--iso9283", "-q", "--verbose").out
+    assert "take up" not in shown
 
 
 @pytest.mark.parametrize(("targets", "like"), [({}, ""), ({"T1": [0.0, 0.0, 0.1]}, "--like few ")])

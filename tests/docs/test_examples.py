@@ -108,6 +108,8 @@ LONG = (
     "README.md",
     "screens.md",
     "export.md",
+    "export-to-kuka.md",
+    "export-masses.md",
     "find-what-is-missing.md",
     "measure-accuracy.md",
     "describe-an-unknown-effect.md",

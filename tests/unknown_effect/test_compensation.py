@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +17,9 @@ from clampid.diagnosis.diagnose import diagnose
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model
+from clampid.screen import laid_out
 from clampid.slots import Slot
+from clampid.verbs.screens import comparison_screen, diagnosis_screen
 from experiments.campaign import Campaign
 
 SEED = 1
@@ -65,10 +69,23 @@ def test_compare_points_at_the_mistake(mistake: str, model: Model, arm):
         assert "compensated in full" in data["summary"]
 
 
+@pytest.mark.parametrize("mistake", ["none", "right", "sign", "degrees"])
+def test_the_screen_of_compare_says_what_to_correct(mistake: str, model: Model, arm):
+    data = compare(model, arm(mistake), refit=("base", "tool")).to_json()
+    made = comparison_screen(data, {}, Path("model.json"), Path("later"), None, None)
+    said = " ".join(made.notes)
+    assert (CASES[mistake][2] or "compensated in full") in said or mistake == "none"
+    assert ("Correct the controller's compensation" in said) == (mistake in ("sign", "degrees"))
+    if mistake == "degrees":  # centimetres: a thousand times the noise floor, in digits
+        assert re.search(r"is \d{3,4} times the noise floor", made.verdict)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("mistake", ["degrees", "own weight", "sign", "right"])
 def test_diagnose_points_at_the_mistake(mistake: str, model: Model, arm):
     found = diagnose(model, arm(mistake)).to_json()
+    screen = " ".join(line.text for line in laid_out(diagnosis_screen(found, "Diagnosed.", [], [])))
+    assert (CASES[mistake][2] or "compensated in full") in " ".join(screen.split())
     words, poses = CASES[mistake][2], found["stages"]["poses"]
     assert (found["compensation"]["mistake"] is None) == (words is None)
     assert (words or "compensated in full") in poses["summary"]
