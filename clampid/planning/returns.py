@@ -38,7 +38,7 @@ PLACES_BETWEEN = 9  # places looked at between two stops
 
 @dataclass(frozen=True)
 class Returns:
-    """What all such programs are told.
+    """The wishes that all such programs share.
 
     Attributes
     ----------
