@@ -180,7 +180,7 @@ def put_right(opened: ModelOnCampaign, found: Compensation) -> ModelOnCampaign |
 
 @dataclass(frozen=True)
 class _Bending:
-    """What the springs give way, spring by spring.
+    """The springs' twist, spring by spring.
 
     Attributes
     ----------

@@ -66,7 +66,7 @@ class PoseWishes:
     spread
         Share of the poses that is taken for being far apart.
     approach
-        rad (m): how far every joint moves to come to a pose from its side.
+        rad (m): how far every joint moves to approach a pose from its side.
     measure_time
         s for each tracked point.
     """
@@ -268,7 +268,7 @@ class _Search:
         return None
 
     def _open(self, q: Array, signs: Array) -> bool:
-        """Whether a pose can be come to from a side and from the opposite one; the pose itself is clear."""
+        """Whether a pose can be approached from a side and from the opposite one; the pose itself is clear."""
         step = self.wishes.approach * signs
         return self.scene.way_clear(q - step, q + step)
 
