@@ -1,13 +1,13 @@
 """How much of a model's deflections stands in measured poses: whether, and how, a controller has compensated them.
 
-Poses are measured at joint values that somebody asked for. What the springs then give way, q_arm = q - C·tau, stands in
-the points in full if nobody compensates it, and not at all if the controller does so rightly. The model is held as it
-is; a factor on the deflection by the arm's own weight, one on that by the tool, and where base and targets stand, are
-fitted to the points by Gauss-Newton, with a covariance from the residuals' scatter from pose to pose (Liang and Zeger,
-Biometrika 73, 1986) and from that of the model's springs.
+Poses are measured at joint values that somebody asked for. The springs' twist, q_arm = q - C·tau, is in the points in
+full if nothing compensates it, and not at all if the controller compensates it correctly. The model is fixed. Factors
+on the deflection by the arm's own weight and on that by the tool, and the positions of base and targets, are fitted to
+the points by Gauss-Newton, with a covariance from the residuals' scatter from pose to pose (Liang and Zeger, Biometrika
+73, 1986) and from that of the model's springs.
 
-The pair of factors says which mistake it is, such as 1 - 180/pi for a deflection that was multiplied by 180/pi, or
-(1, 0) where only the tool's weight is compensated. Where the base is the model's own, its shift is held against what a
+The pair of factors says which mistake it is, such as 1 - 180/pi for a deflection that was multiplied by 180/pi, or (1,
+0) where only the tool's weight is compensated. Where the base is the model's own, its shift is compared with what a
 base takes up of the deflections when a model without springs is fitted.
 """
 
@@ -75,7 +75,7 @@ class Compensation:
     said
         The finding in a sentence; empty where the deflections stand there in full, as the model says.
     explained
-        The factors of the explanation that was told; None where none was.
+        The factors of the explanation that was reported; None if none was.
     """
 
     factors: Array
@@ -180,7 +180,7 @@ def put_right(opened: ModelOnCampaign, found: Compensation) -> ModelOnCampaign |
 
 @dataclass(frozen=True)
 class _Bending:
-    """What the springs give way, spring by spring.
+    """The springs' twist, spring by spring.
 
     Attributes
     ----------

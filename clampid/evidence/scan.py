@@ -1,16 +1,17 @@
 """Effects that act over a few degrees of one joint, tried at every angle that poses visited.
 
 A place's column is what the joint's angle does to the measurement times the effect's shape about that place, so that
-the effect is evaluated once and a place costs a sparse product. Of each joint the best place becomes a candidate, its
-shape refined between the places tried, which pays for its shapes as for amplitudes. A place needs visits that tell it:
-what one visit shows is that visit's own.
+the effect is evaluated once and a place costs a sparse product. The best place of each joint becomes a candidate. Its
+shape is then refined between the places tried, and each shape parameter is charged like an amplitude. A place needs
+several visits near it: the error of a single visit may be that visit's own.
 
-What such an effect moves are a few visits, and flipping the signs of a dozen that all are far off leaves sums as large
-as theirs far too often. The null is therefore that any visit may have any other's error: what each visit says of a
-joint's angle, in standard deviations and three of these at most, is exchanged at random among the visits. The largest
-over all places of all joints follows Gumbel's law of extremes, fitted to the exchanges by its mean and variance. The
-p-value of a candidate is that of this maximum, and a single test more in the dictionary of named effects. Sources:
-Fisher, The Design of Experiments, 1935, for the exchange; Gumbel, Statistics of Extremes, 1958.
+Such an effect moves only a few visits. Sign flips are no null for it: with a dozen visits that are all far off, flipped
+signs reach sums as large as the observed one far too often. The null is therefore that the visits' errors are
+exchangeable: each visit's error of a joint's angle, in standard deviations and clipped at three, is permuted at random
+among the visits. The maximum over all places of all joints follows Gumbel's law of extremes, fitted to the permutations
+by its mean and variance. The p-value of a candidate is that of this maximum. It counts as one more test in the
+dictionary of named effects. Sources: Fisher, The Design of Experiments, 1935, for the permutations; Gumbel, Statistics
+of Extremes, 1958.
 """
 
 from __future__ import annotations

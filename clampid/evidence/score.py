@@ -71,10 +71,10 @@ class Scored:
     kept
         ``(f,)``: the share of each that its prior lets it take, 1 without a prior.
     cost
-        What its freedom is charged, so that explained less cost is twice the logarithm of its Bayes factor: with a
+        Penalty for its degrees of freedom: explained less cost is twice the logarithm of its Bayes factor: with a
         prior, the logarithm of how much the rows narrow it (where its sizes are open, of the one with the largest
-        factor); else f ln(rows) (Schwarz), as if the rows told each number as well as they might. Of a named effect of
-        which they tell less, no more than that: the mean over all sizes that its numbers may have
+        factor); else f ln(rows) (Schwarz), as if the rows determined each parameter as well as they can. A named effect
+        that the rows determine less well is charged at most the mean over all sizes that its parameters may have
         (`clampid.evidence.of_size.of_any_size`).
     explained
         Sum of squares that it explains, in units of the residual's variance.

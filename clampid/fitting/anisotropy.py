@@ -3,8 +3,8 @@
 An instrument's noise differs between the points of one visit, while what a model lacks, and where the robot comes to
 rest, move them nearly alike. So the ratio is taken from how points of a visit scatter about their mean, or returns to a
 point about theirs where each visit has one point: a sag that the model lacks is then no noise in z. Logarithms of the
-squares are compared, group by group, so that a few wrong rows do not set the ratio; where Hotelling's T² does not tell
-the axes apart at one in a thousand, the noise is the same along all.
+squares are compared, group by group, so that a few wrong rows do not set the ratio. If Hotelling's T² test does not
+reject equal axes at the level 0.001, the noise is taken as the same along all.
 
 Source: Hotelling, The generalization of Student's ratio, Annals of Mathematical Statistics 2, 1931.
 """

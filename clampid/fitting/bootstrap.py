@@ -23,7 +23,7 @@ from clampid.stages.rows import Array, Integers
 __all__ = ["Bootstrap", "bootstrap", "draws", "one_step"]
 
 CONFIDENCE = 0.95
-DRAWS_AT_ONCE = 200  # draws whose matrices are held at once
+DRAWS_AT_ONCE = 200  # draws whose matrices are in memory at once
 
 
 @dataclass(frozen=True)

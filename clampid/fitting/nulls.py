@@ -62,7 +62,7 @@ def named_directions(
     known = prior - np.diag(np.diag(prior))
     information = information + np.where(np.abs(known).sum(axis=1).max(initial=0.0) > 0, prior, 0.0)
     silent = np.diag(information) < SILENT
-    # Parameters that only a prior keeps apart are told as a whole, by the place that they belong to, not one by one.
+    # Parameters that only a prior separates are reported together, by their place, not one by one.
     information = information + np.diag(np.where(assumed, 2.0 * LEAST_INFORMATION, 0.0))
     out = []
     groups: dict[str, list[str]] = {}

@@ -1,11 +1,11 @@
 """Turns of the base that the measured points leave open, and what that leaves open of all other parameters.
 
-Points on a line are the same whichever way the robot is turned about it, points at one place whichever way at all. A
-described robot's points are off by e (its geometry's reasonable sizes), so that points with the root mean square
-distance d from an axis tell the turn about it to e / d. Where that is more than small angles are, a fit's standard
-errors are those of the one turn at which it started: what shows an effect from one side, such as a clearance, it shows
-from the other side with the other sign. What the effects themselves would tell of the turn is not used: which effects
-there are is what the rows are asked, and one that the model lacks would choose another turn.
+Points on a line are the same whichever way the robot is turned about it, points at one place whichever way at all. The
+points of a described robot are off by e (its geometry's reasonable sizes), so that points with the root mean square
+distance d from an axis determine the turn about it to e / d. If that is more than a small angle, a fit's standard
+errors hold only for the turn at which it started: after half a turn, an effect such as a clearance appears with the
+other sign. Information of the effects on the turn is not used: which effects there are is what the diagnosis decides,
+and an effect that the model lacks would select a wrong turn.
 
 So a fit starts at the turn of which the rows are likeliest, out of many about the open axes. Afterwards turns are drawn
 from what points and statements (:mod:`clampid.stages.statements`) say of them, with all other parameters as they fit
@@ -71,7 +71,7 @@ class OpenTurn:
         return out
 
     def words(self, name: str) -> str:
-        """What is open, and what would tell it."""
+        """What is open, and what to state or measure to determine it."""
         about = "the line on which the points lie" if len(self.axes) == 1 else "the place at which the points lie"
         return (
             f"turn of the base about {about} (session {name}; they are {1e3 * self.spread:.2g} mm off it): parameters "

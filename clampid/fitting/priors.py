@@ -14,14 +14,14 @@ __all__ = ["description_priors"]
 MASS_SHARE = 0.10  # of the described mass: gravity of a described arm is off by 5-20 %
 MASS_FLOOR = 0.5  # kg: screws, cables and grease that no description lists
 CENTRE = 0.02  # m
-CENTRE_MASS = 2.0  # kg: what a link described without mass may hold of a neighbour's
+CENTRE_MASS = 2.0  # kg: how much of a neighbour's mass a link described without mass may have
 
 
 def description_priors(rows: Rows) -> tuple[Prior, ...]:
     """The prior of the links' gravity parameters.
 
-    Where the description has no masses, none for torque logs, which tell them; for poses, in which mass and spring are
-    one factor, how far the links may be from those of usual arms.
+    If the description has no masses: no prior for torque logs, which determine the gravity parameters themselves; for
+    poses, which determine only the product of mass and compliance, the spread of the links of usual arms.
 
     Mass and centre of mass are off independently, m = M + dm and c = C + dc, so that m c = M C + dm C + M dc is
     correlated with m. Base axes at the zero pose, SI.

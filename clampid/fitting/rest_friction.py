@@ -1,14 +1,15 @@
 """Dry friction of joints from poses alone: by the flanks on which joints rest after a stop.
 
-Friction F and load decide together, s = sign(load + F dir); and F winds up the joint's spring. A search that holds the
-flanks sees the second only, moves F by it, and then finds other flanks than it froze: it ends anywhere. So such a
-friction is fixed while all else is searched, and sought apart: every value that turns another visit's flank is tried,
-each with the clearance and all other parameters as they then fit best, to first order.
+Friction F and load decide the flank together, s = sign(load + F dir), and F also winds up the joint's spring. A search
+with frozen flanks sees only the spring's part, moves F by it, and then meets other flanks than those it froze: it need
+not converge. So such a friction is fixed while all else is searched, and is searched for separately: every value at
+which the flank of another visit changes is tried, each with the clearance and all other parameters as they then fit
+best, to first order.
 
-What these fits cost is what the poses say of the friction. It has steps and may have several minima, so that no normal
-equations tell its error: its distribution does, and what else of the parameters moves along with it. Their second
-moment is added to the covariance. Source: profile likelihood, as in Venzon, Moolgavkar, Applied Statistics 37, 1988,
-taken for a posterior with the prior that the friction has.
+The cost of these fits over F is the friction's profile likelihood. It has steps and may have several minima, so that
+the normal equations do not give the standard error. It is taken from the distribution over F, with the other parameters
+that change with F. Their second moment about the estimate is added to the covariance. Source: profile likelihood, as in
+Venzon, Moolgavkar, Applied Statistics 37, 1988, taken for a posterior with the prior that the friction has.
 
 Loads have to be known for this, from torque logs; without, a fit only begins well: `fitting.friction_start`.
 """
@@ -130,8 +131,8 @@ def with_open_friction(estimate: Estimate, fixed: Prior | None) -> Estimate:
         profile = _Profile.of(estimate, k)
         off = profile.theta - estimate.theta
         covariance += (profile.weight * off.T) @ off
-        # Flanks tell friction and seals beside the load: what these are off, friction is off. What it winds up would
-        # separate it, but not where one visit in a hundred is taken to stand on the other flank.
+        # Flanks determine friction only relative to load and seals: errors of these are errors of the friction. The
+        # wound-up spring would separate them, but not if one visit in a hundred is assigned to the wrong flank.
         load = _load_variance(estimate, profile.joint) + _seals(estimate, profile.joint) ** 2
         covariance += load * np.outer(profile.slope, profile.slope)
     return replace(estimate, covariance=covariance)

@@ -61,7 +61,7 @@ class Estimate:
     prior_precision, prior_mean
         The prior that was used.
     scatter
-        In poses, how the noise is shared between the measurement and the robot's own repeatability, where told.
+        In poses, how the noise is shared between the measurement and the robot's own repeatability; None if unknown.
     """
 
     problem: FitProblem

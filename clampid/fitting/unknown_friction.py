@@ -1,10 +1,11 @@
-"""Joints' dry friction of which a pose fit's rows say nothing: none is taken, and the errors are those at none.
+"""Joints' dry friction that a pose fit's rows do not identify: it is set to zero, with the covariance at zero.
 
-What a joint yields to its dry friction is a product c F. Where neither is known by itself and the product is small,
-F has some value by chance, and the linearised fit would take c for known through it; and whoever propagates an
-unknown c at that F would take the product for unknown, which is known. At F = 0 both are right, where the rest of
-the model reproduces the rows as well. Where it does not, only the covariance is that at F = 0. A spring that no row
-tells is there as stiff as springs are: through one that is soft by chance F would seem known.
+A joint's twist by its dry friction is the product c F of compliance and friction. If neither is known by itself and the
+product is small, the fitted F is arbitrary. The linearised fit would then report c as known through F, and propagating
+an unknown c at that F would report the product as unknown, although it is known. At F = 0 both are right. F = 0 is
+taken if the rest of the model reproduces the rows as well; otherwise only the covariance is that at F = 0. Springs that
+the rows do not identify are fixed at their nominal stiffness. Otherwise F would look identified through a spring that
+is soft by chance.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from clampid.stages.rows import Array
 
 __all__ = ["at_no_friction", "unknown_frictions", "without_unknown_friction"]
 
-CERTAIN_SPRING = 3.0  # standard errors: a spring that is not known, and still no chance
+CERTAIN_SPRING = 3.0  # standard errors from the prior mean: a spring this far off is no chance result
 WORSE = 1.0  # of chi-square: what a number that is not there would gain by chance on average
 
 
@@ -31,7 +32,7 @@ def unknown_frictions(estimate: Estimate) -> list[int]:
     Where only the product with the spring's compliance shows, a friction that nothing else says anything of is as
     unknown as the spring.
     """
-    springs = {estimate.slots[k].place for k in _untold_springs(estimate)}
+    springs = {estimate.slots[k].place for k in _unidentified_springs(estimate)}
     weak = np.sqrt(np.diag(estimate.prior_precision)) * estimate.problem.prior_std() < 1.0 + 1e-9
     frictions = estimate.problem.numbers_of("arm_friction")
     return [k for k in frictions if not estimate.identified[k] or (weak[k] and estimate.slots[k].place in springs)]
@@ -75,15 +76,15 @@ def at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
     return replace(found, covariance=found.point.covariance(precision), prior_precision=precision, prior_mean=mean)
 
 
-def _untold_springs(estimate: Estimate) -> list[int]:
-    """Numbers of the compliances that a fit's rows do not determine, nor set apart from what springs are taken for."""
-    clear = np.abs(estimate.theta - estimate.prior_mean) > CERTAIN_SPRING * estimate.std
-    known = estimate.identified | clear
+def _unidentified_springs(estimate: Estimate) -> list[int]:
+    """Numbers of the compliances that the rows neither identify nor place significantly away from their prior mean."""
+    differs_from_prior = np.abs(estimate.theta - estimate.prior_mean) > CERTAIN_SPRING * estimate.std
+    known = estimate.identified | differs_from_prior
     return [k for k in estimate.problem.numbers_of("compliance") if not known[k]]
 
 
 def _moot(estimate: Estimate, unknown: Sequence[int]) -> tuple[list[int], Array]:
-    """Numbers of frictions and of untold springs that they wind up, and the values where they do nothing."""
+    """Numbers of frictions and of unidentified springs that they wind up, and the values where they do nothing."""
     places = {estimate.slots[k].place for k in unknown}
-    springs = [k for k in _untold_springs(estimate) if estimate.slots[k].place in places]
+    springs = [k for k in _unidentified_springs(estimate) if estimate.slots[k].place in places]
     return [*unknown, *springs], np.r_[np.zeros(len(unknown)), estimate.prior_mean[springs]]

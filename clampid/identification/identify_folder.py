@@ -1,4 +1,4 @@
-"""Identification of a robot's gravity and friction from logs in Parquet files that are never held whole."""
+"""Identification of a robot's gravity and friction from logs in Parquet files, read window by window."""
 
 from __future__ import annotations
 

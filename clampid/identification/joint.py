@@ -11,9 +11,9 @@ What acts at a motor's shaft is not shared: friction of a motor that creeps in a
 Neither are springs and clearances where the poses contradict the clamped sweeps (`clampid.identification.carried`): one
 of the two is not understood, and would spoil the other.
 
-For each stage the result also says what all *other* rows tell of its parameters: the information matrix of the rest,
-the rest's own parameters eliminated. With it a stage can be fitted again alone (other effects, other folds), without
-counting any row twice; to first order the result is that of the joint fit.
+For each stage the result also has the information of all *other* rows on its parameters: the information matrix of the
+rest, with the rest's own parameters eliminated. With it a stage can be fitted again alone (other effects, other folds),
+without counting any row twice; to first order the result is that of the joint fit.
 """
 
 from __future__ import annotations
@@ -220,7 +220,7 @@ def _weights(best: _Joint, union: _Union) -> Array:
     covariance = inverse_of(A + union.precision)
     out = []
     for point, columns in zip(best.points, best.columns, strict=True):
-        determined = float(np.sum(point.normal()[0] * covariance[np.ix_(columns, columns)]))  # parameters that it tells
+        determined = float(np.sum(point.normal()[0] * covariance[np.ix_(columns, columns)]))  # degrees of freedom
         out.append(max(point.count - determined, 1.0) / max(point.cost, 1e-12))
     return np.array(out)
 

@@ -6,8 +6,8 @@ it). A larger difference says that some stage's rows contradict another's. Sourc
 econometrics, Econometrica 46, 1978, theorem 2.1; over all parameters of a stage by Holm, as in
 `clampid.models.agreement`.
 
-A stage that the others tell next to nothing has a variance of the difference that is itself a small difference of
-large numbers: it counts as at least a tenth of σ²_apart, which only makes the test milder.
+If the other stages add almost no information to a stage, the variance of the difference is itself a small difference of
+large numbers. It is taken as at least a tenth of σ²_apart, which only makes the test less sensitive.
 """
 
 from __future__ import annotations

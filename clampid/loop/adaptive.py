@@ -31,7 +31,7 @@ class Adaptive:
     plan
         The plan that the run began with.
     before
-        What the campaign's folder held before.
+        What the campaign's folder contained before.
     budget
         Visits, runs or sweeps that may be added.
     say

@@ -76,7 +76,7 @@ def confusable_pairs(
     ----------
     searched
         Names of the effects that are looked for in these rows. An effect that a recorded temperature supersedes is
-        looked for as well: whether it is the temperature or the time is what rows may not tell.
+        looked for as well: the rows may not distinguish temperature from time.
     before
         The stages fitted before, whose values this one takes over.
     """

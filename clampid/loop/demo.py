@@ -48,7 +48,7 @@ class DemoResult:
     Attributes
     ----------
     hidden
-        ``[{"effect", "where", "parameters"}]``, as the virtual robot tells it.
+        ``[{"effect", "where", "parameters"}]``, as the virtual robot reports it.
     found
         Stage → the effects added, as terms.
     before, after, diagnosis

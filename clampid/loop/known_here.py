@@ -17,13 +17,13 @@ from clampid.stages.stage_kind import known_of
 __all__ = ["known_before", "known_here"]
 
 AS_MUCH = 0.5
-"""Of the variance before: rows that leave no more than this tell as much as was known without them, or more."""
+"""Of the variance before: rows that leave no more than this at least double the information."""
 
 
 def known_here(
     stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, effects: Mapping[str, Effect]
 ) -> Bools:
-    """Which parameters ``(P,)`` are identified, and that by these rows: they tell at least as much as was known before.
+    """Which parameters ``(P,)`` these rows identify: they add at least as much information as there was before.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def known_here(
 def known_before(
     stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, effects: Mapping[str, Effect]
 ) -> Bools:
-    """Which parameters ``(P,)`` earlier tables or the description tell, better than what is assumed of any robot."""
+    """Which parameters ``(P,)`` earlier tables or the description know better than is assumed of any robot."""
     return np.asarray(_carried(stage, before, rows, effects) < _assumed(stage, rows, effects))
 
 

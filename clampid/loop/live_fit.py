@@ -40,7 +40,7 @@ MOST_LINES = 10
 
 
 def campaign_so_far(plan: Plan, entries: Entries, before: Campaign | None) -> Campaign:
-    """What is recorded, and what the campaign's folder held before, as a campaign.
+    """What is recorded, and what the campaign's folder contained before, as a campaign.
 
     Raises
     ------
@@ -80,7 +80,7 @@ class LiveFit:
     entries
         Gives what the journal holds.
     before
-        What the folder held before.
+        What the folder contained before.
     say
         Takes a line for a person.
     until

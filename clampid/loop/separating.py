@@ -1,4 +1,4 @@
-"""What to measure next, so that effects that explain the same are told apart: the decision, and its reason in words."""
+"""What to measure next to distinguish effects that explain the same: the decision, and its reason in words."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def undo(
     opened = on_campaign(model, several, user_effects)
     effects, layout, stages, base = opened.effects, opened.layout, opened.stages, opened.base
     mended: dict[Stage, StageModel] = dict(stages)
-    # What the round put in another's place, such as one curve for several joints, stands there again.
+    # Effects that the round had replaced, such as several curves by one, are restored.
     earlier = next((r for r in reversed(model.ledger[:-1]) if r.stage == last.stage), None)
     replaced = [] if earlier is None else [label for label in earlier.effects if label not in last.effects]
     again: list[Stage] = [last.stage]

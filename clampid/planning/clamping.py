@@ -1,8 +1,8 @@
 """Plans the clamping experiment: in which postures to clamp, which joints to drive, how far, in what steps.
 
-What a sweep may tell is the information of its rows on springs, clearances and friction, the unknown posture of its
-clamping taken off; what it may cost is the wrench on the clamp, which is worked out for every step with springs stiffer
-than described by a margin, and bounded. A sweep beyond a limit is refused here, and stopped when it is run.
+The gain of a sweep is the information of its rows on springs, clearances and friction, with the unknown posture of the
+clamping eliminated. Its cost is the wrench on the clamp. The wrench is computed for every step, with springs stiffer
+than described by a margin, and is bounded. A sweep beyond a limit is refused here, and stopped when it is run.
 """
 
 from __future__ import annotations
@@ -273,7 +273,7 @@ def _clamped_in_turn(
     taken: list[int] = []
     for clampings in range(1, min(MOST_CLAMPINGS, len(groups)) + 1):
         known = bench.prior + sum((informations[k] * bench.scale for k in taken), np.zeros_like(bench.prior))
-        # Clamp where all that may be swept there tells most beyond what the earlier clampings tell.
+        # Clamp where all sweeps together add most information to that of the earlier clampings.
         best = max(groups, key=lambda g: log_det(known + sum(informations[k] * bench.scale for k in groups[g])))
         taken = [*taken, *groups.pop(best)]
         yield clampings, taken
@@ -303,7 +303,7 @@ def _too_short(
 def _each_once(
     sweeps: list[Sweep], table: Array, prior: Array, among: list[int], driven: Sequence[int]
 ) -> list[int] | None:
-    """One sweep of each joint, the one that tells most; None where a joint may not be driven in any posture."""
+    """One sweep of each joint, the most informative one; None where a joint may not be driven in any posture."""
     first = []
     for joint in driven:
         able = [k for k in among if sweeps[k].joint == joint]

@@ -120,7 +120,7 @@ def _turned(signs: Array, j: int, poses: tuple[int, ...], feasible: Feasible) ->
 def confounded(signs: Array, covariates: Array) -> Array:
     """Share of each joint's directions ``(n,)`` that the covariates explain (R²), corrected for their number.
 
-    0: unrelated to posture and time, 1: told by them. ``signs`` ``(N, n)``, ``covariates`` ``(N, k)``.
+    0: unrelated to posture and time, 1: determined by them. ``signs`` ``(N, n)``, ``covariates`` ``(N, k)``.
     """
     centred = signs - signs.mean(axis=0)
     basis = _basis(covariates)

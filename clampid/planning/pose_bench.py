@@ -72,7 +72,7 @@ class PoseBench:
         return pose_rows([imagined(self.cell, poses=self._table(q, direction))], self.layout, "poses", self._base)
 
     def factors(self, q: Array, direction: Array) -> Array:
-        """What each visit tells ``(N, P, 3 t)``: its whitened Jacobian, transposed, in parameters of usual size."""
+        """Information factor ``(N, P, 3 t)`` of each visit: transposed whitened Jacobian per usual parameter size."""
         rows = self.rows(q, direction)
         _, jacobian = self.problem.with_rows(rows).residual(self.problem.start())
         white = jacobian[:, :3] / rows.sigma[:, :3, None] * self.size

@@ -1,8 +1,8 @@
-"""Plans poses to measure: where the targets are seen, chosen for what they tell, in an order that takes little time.
+"""Plans poses to measure: targets in sight, chosen for their information, in an order that takes little time.
 
-Among configurations that are in the region, in sight and clear, some are taken for being far apart in joint space, so
-that what nobody asked about shows, and the others for the determinant of the information (D-optimal). Every pose is
-approached by a short move whose signs are balanced, so that backlash can be distinguished from posture.
+Among configurations that are in the region, in sight and clear of obstacles, some are chosen far apart in joint space,
+so that effects nobody asked about show. The others maximise the determinant of the information (D-optimal). Every pose
+is approached by a short move whose signs are balanced, so that backlash can be distinguished from posture.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class PoseWishes:
     spread
         Share of the poses that is taken for being far apart.
     approach
-        rad (m): how far every joint moves to come to a pose from its side.
+        rad (m): how far every joint moves to approach a pose from its side.
     measure_time
         s for each tracked point.
     """
@@ -149,7 +149,7 @@ class _Search:
         self.tours = ClearTours(cell, limits, scene)
         self.bench = PoseBench(cell, wishes.effects, station)
         margin = 1.5 * wishes.approach  # so that every pose can be approached from either side
-        # Of joints that turn more than once, one turn tells the same as all, and ways in between are shorter.
+        # For joints that turn more than once, one turn is as informative as all, and the moves are shorter.
         turning = np.linalg.norm(np.asarray(cell.robot.screws)[:, :3], axis=1) > 0
         middle = (limits.lower + limits.upper) / 2
         half = np.where(turning, np.minimum((limits.upper - limits.lower) / 2, np.pi), np.inf)
@@ -268,7 +268,7 @@ class _Search:
         return None
 
     def _open(self, q: Array, signs: Array) -> bool:
-        """Whether a pose can be come to from a side and from the opposite one; the pose itself is clear."""
+        """Whether a pose can be approached from a side and from the opposite one; the pose itself is clear."""
         step = self.wishes.approach * signs
         return self.scene.way_clear(q - step, q + step)
 

@@ -86,14 +86,14 @@ def finished_program(
     assumed: Sequence[str] = (),
     impossible: tuple[str, ...] = (),
 ) -> Plan:
-    """The plan of these runs, with what they will tell, checked against its own limits.
+    """The plan of these runs, with the parameters they will identify, checked against its own limits.
 
     Parameters
     ----------
     wished
         What was asked for, for the record.
     impossible
-        Sentences on what no such program could tell.
+        Sentences on what no such program could identify.
 
     Raises
     ------

@@ -2,11 +2,12 @@
 
 **ISO 9283.** Five poses in a plane through two opposite edges of a cube: P1 in its centre, P2 … P5 on the plane's
 diagonals, a tenth of a diagonal away from their ends. A cycle is P1, P5, P4, P3, P2, always in this order, so that
-every pose is come to from one side. Thirty cycles give AP and RP. Source: ISO 9283:1998, 6.8.1, 6.8.2 and 7.2.
+every pose is approached from one side. Thirty cycles give AP and RP. Source: ISO 9283:1998, 6.8.1, 6.8.2 and 7.2.
 
-**Line.** Stops at equal distances on a straight line, out and back. Each stop is come to along the line, from one side
-on the way out and from the other on the way back; or always from the side of the way out. Joints move in step, which is
-straight only nearly, and the last move to a stop begins beside the line: how far the target is off is said.
+**Line.** Stops at equal distances on a straight line, out and back. Each stop is approached along the line, from one
+side on the way out and from the other on the way back; or always from the side of the way out. Joints move in step, so
+that the path is only nearly straight, and the last move to a stop begins beside the line. The plan reports how far the
+target is off the line.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ PLACES_BETWEEN = 9  # places looked at between two stops
 
 @dataclass(frozen=True)
 class Returns:
-    """What all such programs are told.
+    """The wishes that all such programs share.
 
     Attributes
     ----------
@@ -47,7 +48,7 @@ class Returns:
     targets
         Which targets are measured; the first one is brought to the places.
     one_side
-        Every pose is come to from the same side, each time.
+        Every pose is approached from the same side, each time.
     approach
         The last move.
     measure_time

@@ -1,6 +1,6 @@
 """Programs that visit given postures again and again: what their plans have in common.
 
-The direction in which a posture is come to is part of the measurement: backlash and friction make it arrive elsewhere
+The direction of approach is part of the measurement: with backlash and friction a posture is reached differently
 from the other side. Every visit therefore ends with a short last move of its own, whose signs are stated.
 """
 

@@ -2,8 +2,8 @@
 
 With θ_joint = Tᵀ θ_motor, joint j stands still while its motor turns wherever the others move so that q_j = 0 and
 (T⁻ᵀ q)_j ≠ 0; joint j moves with its motor still wherever m_j = 0 and (Tᵀ m)_j ≠ 0. Only there can friction on the
-arm's side be told from the motor's own. Before each swing all wrist joints are moved a little to one side, so that the
-side on which the dry friction of a standing joint rests is known. Source: the thesis, appendix (T, wrist programs).
+arm's side be distinguished from the motor's own. Before each swing all wrist joints are moved a little to one side, so
+that the sign of the dry friction of a standing joint is known. Source: the thesis, appendix (T, wrist programs).
 """
 
 from __future__ import annotations

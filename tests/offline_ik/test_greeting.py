@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from server_clients import Link, ask, connected, serving, until
 from server_lines import GOOD
-from test_server import Link, ask, connected, serving, until
 
 from offline_ik.errors import DetectorError
 from offline_ik.exchange.requests import WORDS

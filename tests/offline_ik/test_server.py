@@ -4,68 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import json
-import math
-import socket
-import struct
-import threading
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager, suppress
-from typing import Any
 
 import numpy as np
 import pytest
+from server_clients import ask, connected, serving, until
 from server_lines import GOOD, rubbish
 
-from kinematics.collision.moves import LongCheckError
-from offline_ik.collision.safety import PathReport, check_path
 from offline_ik.errors import DetectorError
 from offline_ik.exchange.address import is_loopback, parse_address
 from offline_ik.inverse.detector import Detector
-from offline_ik.server.protocol import Speaker
 from offline_ik.server.server import LINE_BYTES, Limits, Server
-
-Talk = Callable[[Server, str, int], Awaitable[Any]]
-
-
-def serving(detector: Detector, talk: Talk, limits: Limits | None = None) -> Any:
-    async def run() -> Any:
-        server = Server(Speaker(detector), limits)
-        host, port = await server.start("127.0.0.1", 0)
-        try:
-            return await asyncio.wait_for(talk(server, host, port), 120)
-        finally:
-            await server.close()
-
-    return asyncio.run(run())
-
-
-@asynccontextmanager
-async def connected(
-    host: str, port: int, hello: bool = False
-) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
-    """A client that leaves nothing open behind it."""
-    reader, writer = await asyncio.open_connection(host, port, limit=1 << 20)
-    try:
-        if hello:
-            assert (await ask(reader, writer, b"hello"))["ok"]
-        yield reader, writer
-    finally:
-        writer.transport.abort()
-        with suppress(ConnectionError):
-            await writer.wait_closed()
-
-
-async def until(holds: Callable[[], Any]) -> None:
-    """Let the loop turn until a condition holds, which it is to do soon."""
-    async with asyncio.timeout(20):
-        while not holds():
-            await asyncio.sleep(0.002)
-
-
-async def ask(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, line: bytes) -> dict[str, Any]:
-    writer.write(line + b"\n")
-    answer: dict[str, Any] = json.loads(await reader.readline())
-    return answer
 
 
 def test_many_clients_each_get_their_own_answers_in_order(detector: Detector) -> None:
@@ -124,151 +72,6 @@ def test_a_search_for_the_nearest_position_gives_way_to_others(detector: Detecto
             assert told["nearest"]["distance_m"] > 0.1
             assert json.loads(await reader.readline())["id"] == "after"
             assert not await reader.readline()
-
-    serving(detector, talk)
-
-
-FROM = b" from=0.1,-1.2,1.2,0.1,0.4,0"
-PATH = GOOD.replace(b"where", b"path") + FROM
-
-
-class Held:
-    """Checks of moves that begin, and do not end before they are let go."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.begun, self.go = threading.Event(), threading.Event()
-
-        def check(detector: Detector, postures: Any, most: float = math.inf) -> PathReport:
-            if not most:
-                raise LongCheckError
-            self.begun.set()
-            assert self.go.wait(60)
-            return check_path(detector, postures)
-
-        # or a short move would be checked on the loop
-        monkeypatch.setattr("offline_ik.motion.simulation.PLACES_AT_ONCE", 0)
-        monkeypatch.setattr("offline_ik.motion.ways.check_path", check)
-        monkeypatch.setattr("offline_ik.server.protocol.check_path", check)
-
-    async def until_begun(self) -> None:
-        await until(self.begun.is_set)
-
-
-def test_while_a_move_is_checked_others_are_answered_and_its_own_client_in_order(
-    detector: Detector, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    held = Held(monkeypatch)
-
-    async def talk(server: Server, host: str, port: int) -> None:
-        async with connected(host, port) as (reader, writer), connected(host, port) as other:
-            writer.write(
-                PATH + b" id=1\n" + GOOD + b" id=2\n" + b"y=1 id=3\n" + PATH + b" branch=all id=4\n" + GOOD + b"\n"
-            )
-            await held.until_begun()
-            for _ in range(50):
-                assert (await ask(*other, GOOD))["reachable"]
-            assert not (await ask(*other, b"nothing"))["ok"]
-            assert server.speaker.answered == 50
-            held.go.set()
-            writer.write_eof()
-            answers = [json.loads(line) for line in [await reader.readline() for _ in range(5)]]
-            assert [a.get("id") for a in answers] == ["1", "2", None, "4", None]
-            assert [a["ok"] for a in answers] == [True, True, False, True, True]
-            assert answers[0]["path"]["safe"]
-            assert all("path" in s for s in answers[3]["solutions"])
-            assert not await reader.readline()
-
-    serving(detector, talk)
-
-
-class Link:
-    """A linked robot that remembers where it was sent."""
-
-    def __init__(self, q: np.ndarray) -> None:
-        self.q, self.sent = q, 0
-
-    def posture(self) -> np.ndarray:
-        return self.q
-
-    def move(self, postures: np.ndarray, speed: float) -> None:
-        self.sent += 1
-
-    def state(self) -> dict[str, Any]:
-        return {}
-
-    def stop(self) -> None:
-        pass
-
-
-@pytest.mark.parametrize("what", ["nothing", "stop", "moved", "closed", "reset"])
-def test_what_happens_while_a_move_is_checked_counts(
-    detector: Detector, monkeypatch: pytest.MonkeyPatch, what: str
-) -> None:
-    held, link = Held(monkeypatch), Link(detector.locate(0.3, 0.2, 0.8).solutions[0].q)
-
-    async def talk(server: Server, host: str, port: int) -> None:
-        server.speaker.link = link
-        async with connected(host, port, hello=True) as (reader, writer), connected(host, port) as other:
-            writer.write(b"move gamma=0.35 delta=0.2 r=0.8\n")
-            await held.until_begun()
-            if what == "stop":
-                assert (await ask(*other, b"stop"))["ok"]
-            elif what == "moved":
-                link.q = link.q + 0.1
-            elif what == "closed":  # on the wire no other than a client that still waits for its answer
-                writer.close()
-                await until(lambda: any(client.session.closed for client in server.clients))
-            elif what == "reset":
-                sock = writer.get_extra_info("socket")
-                sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-                writer.transport.abort()
-                await until(lambda: len(server.clients) == 1)
-            held.go.set()
-            if what in ("closed", "reset"):
-                assert (await ask(*other, PATH))["path"]["safe"]  # is computed after the move
-                assert (server.speaker.answered, server.speaker.refused) == (2, 1 if what == "closed" else 0)
-                assert not server.failures
-            else:
-                answer = json.loads(await reader.readline())
-                assert answer["ok"] is (what == "nothing")
-                told = {"stop": "was stopped while", "moved": "moved while"}
-                assert told.get(what, "") in answer.get("error", "")
-            assert link.sent == (what == "nothing")
-
-    serving(detector, talk)
-
-
-def test_of_two_moves_at_once_one_is_made(detector: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
-    held, link = Held(monkeypatch), Link(detector.locate(0.3, 0.2, 0.8).solutions[0].q)
-
-    async def talk(server: Server, host: str, port: int) -> None:
-        server.speaker.link = link
-        async with connected(host, port, hello=True) as one, connected(host, port, hello=True) as other:
-            one[1].write(b"move gamma=0.35 delta=0.2 r=0.8\n")
-            await held.until_begun()
-            other[1].write(b"move gamma=0.25 delta=0.2 r=0.8\n")  # from where the robot still stands
-            await until(lambda: all(client.job for client in server.clients))
-            held.go.set()
-            assert json.loads(await one[0].readline())["moving"] is True
-            assert "moved while" in json.loads(await other[0].readline())["error"]
-            assert link.sent == 1
-            assert (await ask(*other, b"move gamma=0.25 delta=0.2 r=0.8"))["moving"] is True
-
-    serving(detector, talk)
-
-
-def test_a_client_that_asks_and_closes_its_side_is_answered_but_moves_nothing(detector: Detector) -> None:
-    link = Link(detector.locate(0.3, 0.2, 0.8).solutions[0].q)
-
-    async def talk(server: Server, host: str, port: int) -> None:
-        server.speaker.link = link
-        async with connected(host, port, hello=True) as (reader, writer):
-            writer.write(b"move gamma=0.35 delta=0.2 r=0.8\n" + PATH + b"\n" + GOOD + b"\n")
-            writer.write_eof()
-            answers = [json.loads(line) for line in (await reader.read()).splitlines()]
-            assert [a["ok"] for a in answers] == [False, True, True]
-            assert "connection was closed" in answers[0]["error"]
-            assert not link.sent
 
     serving(detector, talk)
 
