@@ -12,9 +12,13 @@ from clampid.effect import Stage
 from clampid.report.budget import Share, pose_budget, torque_budget
 from clampid.report.stage_data import StageData, stage_title
 from clampid.report.style import Figure, Section, Table, as_table
+from clampid.stages.rows import Array, Integers
 from clampid.stages.stage_kind import kind_of
 
 __all__ = ["budget_section"]
+
+RING_WIDTH = 0.022  # of the axis: a ring of 16 pixels and its edge
+RING_HEIGHTS = (0.0, -0.4, 0.4)  # of a bar's distance from the next, where rings would cover each other
 
 
 def budget_section(stages: Mapping[Stage, StageData]) -> Section | None:
@@ -42,17 +46,17 @@ def _pose_blocks(data: StageData) -> list[Table | Figure]:
     totals = [1e6 * float(s.total[0]) for s in shares]
     smallest = min([*totals, *(1e6 * v for s in shares for v in s.places.values() if v > 0), 1e6 * floor], default=1.0)
     low = 10.0 ** np.floor(np.log10(max(smallest, 1e-2)))
-    low = float(low)
+    low, high = float(low), max([*totals, 1e6 * floor]) * 10**0.15
     tips = [f"{name}: {number(total, 3)} µm" for name, total in zip(names, totals, strict=True)]
     marks: list[Mark] = [Bars(np.array(totals), ["blue"] * len(names), "effect as a whole", tips)]
     dots = [(k, 1e6 * v, p) for k, s in enumerate(shares) for p, v in s.places.items() if 1e6 * v > low]
     if dots:
         tips = [f"{names[k]} at {place}: {number(v, 3)} µm" for k, v, place in dots]
-        at, heights = np.array([v for _, v, _ in dots]), np.array([float(k) for k, _, _ in dots])
+        at, rows_of = np.array([v for _, v, _ in dots]), np.array([k for k, _, _ in dots])
+        heights = rows_of + _apart(np.log(at) / np.log(high / low), rows_of)
         marks.append(Points(at, heights, "single joints and links, by number", "orange", 16, symbol="ring", tips=tips))
-        marks += [Label((_short(place),), v, float(k)) for k, v, place in dots]
+        marks += [Label((_short(p),), v, y) for (_, v, p), y in zip(dots, heights.tolist(), strict=True)]
     marks.append(Level(1e6 * floor, "x", "noise floor"))
-    high = max([*totals, 1e6 * floor]) * 10**0.15
     panel = Panel(
         tuple(marks),
         Axis("RMS shift of the measured points, µm", low, high, log=True),
@@ -74,6 +78,16 @@ def _pose_blocks(data: StageData) -> list[Table | Figure]:
     )
     table = as_table(("Effect", "RMS shift#", "Times the noise#", "Largest single places"), rows)
     return [Figure("budget-poses", plot, caption), table]
+
+
+def _apart(at: Array, row: Integers) -> Array:
+    """Heights ``(N,)`` beside those of their rows at which rings ``at`` shares of the axis do not cover each other."""
+    out, last = np.zeros(len(at)), dict[tuple[int, float], float]()
+    for k in np.argsort(at, kind="stable"):
+        clear = [h for h in RING_HEIGHTS if at[k] - last.get((int(row[k]), h), -np.inf) >= RING_WIDTH]
+        out[k] = clear[0] if clear else RING_HEIGHTS[0]
+        last[int(row[k]), float(out[k])] = float(at[k])
+    return out
 
 
 def _short(place: str) -> str:
