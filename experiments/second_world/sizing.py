@@ -66,6 +66,8 @@ def _nudge(kind: str, joint: int, axis: int, size: float) -> Active:
             b.angle_rad[:, joint] = (
                 size * clearance_side(state.robot, state.loads.torque_Nm, state.visits.dirs)[:, joint]
             )
+        elif kind == "drag":
+            b.angle_rad[:, joint] = size * state.visits.dirs[:, joint]
         elif kind in ("tilt_rad", "shift_m"):
             getattr(b, kind)[:, joint, axis] = size
         else:
@@ -76,11 +78,15 @@ def _nudge(kind: str, joint: int, axis: int, size: float) -> Active:
 
 
 def _standard_pose_columns(session: Session) -> Array:
-    """Derivatives (3NK, p) of the points by geometry, springs, clearances, base and targets."""
+    """Derivatives (3NK, p) of the points by geometry, springs, friction, clearances, base and targets.
+
+    Dry friction winds a spring up against the approach. Of a joint without load a clearance does the same.
+    """
     visits = session.visits
     plain = points_seen(session, visits, [])
     n, h = session.robot.n, 1e-5
     kinds = [("spring", j, 0) for j in range(n) if session.robot.compliance_rad_Nm.any()]
+    kinds += [("drag", j, 0) for j in range(n) if session.robot.compliance_rad_Nm.any()]
     kinds += [("gap", j, 0) for j in range(n) if session.robot.clearance_rad.any()]
     kinds += [(k, j, a) for k in ("tilt_rad", "shift_m") for j in range(n) for a in range(3)]
     kinds += [(k, 0, a) for k in ("base_shift_m", "base_turn_rad") for a in range(3)]
@@ -160,8 +166,8 @@ def size_in_sigma(
         Which of `poses` and `free_air` are asked for; a table in which nothing hidden acts is left out.
     beyond_standard
         Whether only the part counts that a refit of the standard model leaves. In poses that is geometry, base and
-        targets, and springs and clearances where the robot has them; in free air it is rigid bodies, rotors, Coulomb
-        and viscous friction.
+        targets, springs with the friction that winds them up, and clearances, where the robot has them; in free air
+        it is rigid bodies, rotors, Coulomb and viscous friction.
 
     Returns
     -------
