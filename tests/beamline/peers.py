@@ -4,27 +4,18 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import re
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from free_ports import free_port
+
 HERE = Path(__file__).parent
-# The port is free until the peer binds it, as no outgoing connection is given one below (Linux from 32 768).
-LOWEST_PORT, HIGHEST_PORT = 20_000, 32_000
-
-
-def free_port() -> int:
-    while True:
-        port = random.SystemRandom().randint(LOWEST_PORT, HIGHEST_PORT)
-        with socket.socket() as tried, suppress(OSError):
-            tried.bind(("127.0.0.1", port))
-            return port
 
 
 def free_udp_and_tcp() -> int:

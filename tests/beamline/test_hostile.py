@@ -14,8 +14,9 @@ from collections.abc import Iterator
 import numpy as np
 import psutil
 import pytest
+from free_ports import free_port
 from memory_link import MemoryLink
-from peers import free_port, free_udp_and_tcp, peer
+from peers import free_udp_and_tcp, peer
 from server_lines import hostile
 from serving_thread import Serving
 

@@ -6,7 +6,8 @@ import socket
 from pathlib import Path
 
 import pytest
-from peers import free_port, free_udp_and_tcp, peer, side
+from free_ports import free_port
+from peers import free_udp_and_tcp, peer, side
 from serving_thread import Serving
 
 from clampid.cli import run

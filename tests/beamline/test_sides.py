@@ -13,7 +13,8 @@ from pathlib import Path
 
 import psutil
 import pytest
-from peers import HERE, free_port, free_udp_and_tcp, peer
+from free_ports import free_port
+from peers import HERE, free_udp_and_tcp, peer
 from serving_thread import Serving
 from typer.testing import CliRunner
 

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from free_ports import free_port
 from memory_link import MemoryLink
-from peers import Peer, free_port, peer, side
+from peers import Peer, peer, side
 from serving_thread import Serving
 
 from offline_ik.inverse.detector import Detector

@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from peers import free_port, free_udp_and_tcp, peer
+from free_ports import free_port
+from peers import free_udp_and_tcp, peer
 from serving_thread import Serving
 
 from offline_ik.inverse.detector import Detector

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-import random
 import re
 import signal
 import socket
 import subprocess
 import sys
 from collections import Counter
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from free_ports import free_port
 
 from clampid.planning.clamping import planned_sweep
 from clampid.planning.press import Press, press_limits, stiffness_of
@@ -27,18 +26,6 @@ from experiments.runs.people import VirtualOperator, Yes
 from experiments.runs.runner import Asked
 
 CLAMPED = np.array([0.0, -1.2, 1.6, 0.5, 0.9, 0.0])
-# Systems hand out ports above for outgoing connections (Linux from 32 768). A controller that is killed and comes back
-# finds its port free only below: else a client that tries to reach it again may have been given that very port.
-LOWEST_PORT, HIGHEST_PORT = 20_000, 32_000
-
-
-def port_to_return_to() -> int:
-    """A free port of this machine that no outgoing connection is given."""
-    while True:
-        port = random.SystemRandom().randint(LOWEST_PORT, HIGHEST_PORT)
-        with socket.socket() as tried, suppress(OSError):
-            tried.bind(("127.0.0.1", port))
-            return port
 
 
 @dataclass
@@ -51,7 +38,7 @@ class Controller:
     process: subprocess.Popen | None = None
 
     def start(self) -> Controller:
-        places = {name: self.ports.get(name) or port_to_return_to() for name in ("listening", "tracker", "operator")}
+        places = {name: self.ports.get(name) or free_port() for name in ("listening", "tracker", "operator")}
         command = [sys.executable, "-m", "clampid", "virtual-robot", "--truth", str(self.truth)]
         for name, port in places.items():
             command += ["--listen" if name == "listening" else f"--{name}", f"127.0.0.1:{port}"]
