@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from foreign_files import CAMPAIGN
 from import_call import call
 
 from clampid.verbs.errors import is_wrong_input
@@ -15,7 +16,8 @@ from experiments.foreign.medians import medians
 from experiments.simulate import simulate
 from experiments.tables import TableFile
 
-MAPPING = """format = "clampid-mapping/1"
+MAPPING = (
+    """format = "clampid-mapping/1"
 table = "poses"
 delimiter = ";"
 decimal = ","
@@ -36,14 +38,9 @@ x = {from = "X [mm]", unit = "mm"}
 y = {from = "Y [mm]", unit = "mm"}
 z = {from = "Z [mm]", unit = "mm"}
 temp_ambient = {from = "T", unit = "K"}
-
-[campaign]
-robot = "kuka_kr20_r1810"
-gravity_m_s2 = [0.0, 0.0, -9.81]
-tool = {mass_kg = 12.0, com_m = [0.0, 0.0, 0.08]}
-targets_m = {T1 = [0.10, 0.00, 0.12], T2 = [-0.05, 0.0866, 0.12], T3 = [-0.05, -0.0866, 0.12]}
-instrument = {name = "tracker", position_std_m = 5e-5}
 """
+    + CAMPAIGN
+)
 
 
 @pytest.fixture(scope="module")

@@ -17,12 +17,12 @@ from typing import Any
 
 import pytest
 import typer
+from recorded_screens import PAGE, simulated_part
 
 from clampid.cli import app
 from clampid.screen import HEIGHT, WIDTH
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "reference" / "screens.md"
 BLOCK = re.compile(r"^```console\n\$ (?P<command>.*)\n(?P<text>(?:.*\n)*?)```$", re.MULTILINE)
 REAL = ROOT.parent / "shared" / "real" / "ur10_series_d"
 SCREENS = [(match["command"], match["text"]) for match in BLOCK.finditer(PAGE.read_text(encoding="utf-8"))]
@@ -93,12 +93,10 @@ def run(command: str, folder: Path) -> str:
 @pytest.mark.timeout(1800)
 def test_every_next_command_of_the_simulated_campaign_runs(tmp_path: Path) -> None:
     """After each command of the page, what its screen offers is run in a copy of the folder, in the order offered."""
-    simulated = PAGE.read_text(encoding="utf-8").partition("\n## A real robot")[0]
-    first = re.search("<!-- first: (.*) -->", simulated)
-    assert first is not None
+    simulated, first = simulated_part()
     folder = tmp_path / "folder"
     folder.mkdir()
-    run(first[1], folder)
+    run(first, folder)
     needs_an_address, tried = [], 0
     for number, match in enumerate(BLOCK.finditer(simulated)):
         if match["command"].startswith("clampid serve"):  # runs until interrupted

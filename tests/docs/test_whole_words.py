@@ -15,12 +15,12 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from recorded_screens import PAGE, simulated_part
 
 from clampid.screen import HEIGHT, WIDTH
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-RECORDED = ROOT / "docs" / "reference" / "screens.md"
 BLOCK = re.compile(r"^```(?:console|text)\n(?P<text>\$ .*?)^```$", re.DOTALL | re.MULTILINE)
 TYPED = re.compile(r"\$ (?:.*\\\n)*.*\n")
 LETTERS = re.compile(r"[^\W\d_]+")
@@ -82,7 +82,7 @@ def test_a_broken_word_is_found() -> None:
 
 def test_screens_cut_without_regard_to_words_are_found() -> None:
     """All that is shown, cut every 40 characters: each of them has a broken word."""
-    for command, text in screens(RECORDED.read_text(encoding="utf-8")):
+    for command, text in screens(PAGE.read_text(encoding="utf-8")):
         flat = " ".join(text.split())
         assert broken(command, "\n".join(flat[at : at + 40] for at in range(0, len(flat), 40))) != [], command
 
@@ -121,10 +121,8 @@ def test_each_line_stands_in_the_text_before_it_was_wrapped(command: str, tmp_pa
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_each_line_of_the_recorded_screens_stands_in_the_text_before_it_was_wrapped(tmp_path: Path) -> None:
-    simulated = RECORDED.read_text(encoding="utf-8").partition("\n## A real robot")[0]
-    first = re.search("<!-- first: (.*) -->", simulated)
-    assert first is not None
-    printed([str(Path(sys.executable).parent / "clampid"), *shlex.split(first[1])[1:]], WIDTH, tmp_path)
+    simulated, first = simulated_part()
+    printed([str(Path(sys.executable).parent / "clampid"), *shlex.split(first)[1:]], WIDTH, tmp_path)
     commands = [command for command, _ in screens(simulated) if not command.startswith("clampid serve")]
     assert len(commands) > 10
     for command in commands:
