@@ -37,10 +37,13 @@ class Attained:
         ``(N, m)``: measured less sent, instrument frame, m and, with orientations, rad.
     reported
         m: how far the angles reported at returns to one pose are from their mean, at the farthest, at the point.
+    fitted
+        How many numbers of base, targets and flange were fitted to the same rows.
     """
 
     residual: Array
     reported: float
+    fitted: int
 
 
 def as_sent(rows: Rows, effects: Mapping[str, Effect]) -> Attained:
@@ -61,7 +64,7 @@ def as_sent(rows: Rows, effects: Mapping[str, Effect]) -> Attained:
     theta = fit(trial).theta
     residual = trial.residual(theta)[0]
     own = trial.with_rows(rows).residual(theta)[0]
-    return Attained(residual, float(np.linalg.norm((own - residual)[:, :3], axis=1).max()))
+    return Attained(residual, float(np.linalg.norm((own - residual)[:, :3], axis=1).max()), len(slots))
 
 
 def iso9283(rows: Rows, residual: Array) -> dict[str, Any]:

@@ -14,8 +14,6 @@ from clampid.verbs.options import Json, OneCampaign, Quiet, Verbose
 from clampid.verbs.output import Output
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from clampid.effect import Effect
     from experiments.campaign import Campaign
 
@@ -116,44 +114,27 @@ def _iso9283(campaign: Campaign, out: Output) -> dict[str, Any]:
     for table in ("poses", "verification"):
         if table in campaign.tables:
             rows = pose_rows([campaign], layout_of([campaign]), table).points
-            error = as_sent(rows, catalogue()).residual
-            norms = np.linalg.norm(error[rows.used[:, 0], :3], axis=1)
-            found[table] = metrics_of(rows, error) | {"universal": norm_metrics(norms)}
-            fitted, numbers = _leave_out_absorbed(campaign.tables[table], error.shape[1], found[table])
+            sent = as_sent(rows, catalogue())
+            norms = np.linalg.norm(sent.residual[rows.used[:, 0], :3], axis=1)
+            found[table] = metrics_of(rows, sent.residual) | {"universal": norm_metrics(norms)}
+            places = campaign.tables[table][["pose", "target"]].drop_duplicates()
+            numbers = len(places) * sent.residual.shape[1]
+            if numbers <= sent.fitted:
+                _leave_out_accuracy(found[table])
             show_iso9283(table, found[table], out)
-            if fitted < numbers:
+            if sent.fitted < numbers:
                 out.say(
-                    f"{table}: base and targets are fitted to {numbers} numbers and take up {fitted} of them: "
+                    f"{table}: base and targets are fitted to {numbers} numbers and take up {sent.fitted} of them: "
                     "the larger that share, the more AP comes out too small"
                 )
     return found
 
 
-def _leave_out_absorbed(frame: DataFrame, numbers: int, found: dict[str, Any]) -> tuple[int, int]:
-    """Leave out AP where base and targets, fitted to the same rows, fit so few places exactly.
-
-    Parameters
-    ----------
-    frame
-        The table of poses.
-    numbers
-        Of a row: 3, or 6 with orientations.
-    found
-        The metrics of the table; those of accuracy are moved to what is not determinable.
-
-    Returns
-    -------
-    tuple of int
-        How many numbers are fitted, and to how many.
-    """
-    places, targets = len(frame[["pose", "target"]].drop_duplicates()), frame["target"].nunique()
-    fitted = 6 + (3 * targets if numbers == 3 else 6)
-    if numbers * places > fitted:
-        return fitted, numbers * places
+def _leave_out_accuracy(found: dict[str, Any]) -> None:
+    """Move AP of a table's metrics to what is not determinable: base and targets fit so few places exactly."""
     for kind in ("position", "orientation"):
         if kind in found and found[kind].pop("AP", None) is not None:
             found[kind]["not_determinable"]["AP"] = "base and targets, fitted to so few poses, fit them exactly"
-    return fitted, numbers * places
 
 
 def _stated(campaign: Campaign) -> Iterator[str]:
