@@ -24,7 +24,7 @@ from clampid.evidence.space import Space
 from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Array, Bools, Integers, Rows
 
-__all__ = ["PARTS", "Folds", "evidence_of", "extrapolated_in", "folds_of", "parts_of_runs", "stability_folds"]
+__all__ = ["PARTS", "Folds", "extrapolated_in", "folds_of", "parts_of_runs", "stability_folds"]
 
 PARTS = 5
 UNITS = 4  # of noise, of which a piece consists at least: its first and last are not judged
@@ -87,7 +87,7 @@ def folds_of(
         return None
     because: dict[str, None] = {}
     for s in candidates:
-        evidence, c = evidence_of(s, space, estimate.whitened.entry, len(rows)), s.candidate
+        evidence, c = _evidence_of(s, space, estimate.whitened.entry, len(rows)), s.candidate
         because |= dict.fromkeys(extrapolated_in(rows, effects[c.name], c.places, evidence))
     if not because:
         return None
@@ -95,7 +95,7 @@ def folds_of(
     return Folds(fold, judged, tuple(because))
 
 
-def evidence_of(s: Scored, space: Space, entry: Integers, rows: int) -> Array:
+def _evidence_of(s: Scored, space: Space, entry: Integers, rows: int) -> Array:
     """How much of a candidate each row shows ``(N,)``: the squares of its whitened columns that the fit cannot absorb.
 
     Zero where it does not act, or where the rows of the motors on which it acts are not used.
@@ -107,8 +107,8 @@ def evidence_of(s: Scored, space: Space, entry: Integers, rows: int) -> Array:
     """
     columns = s.candidate.columns.dense(space.rows)
     acts = np.any(columns != 0.0, axis=1)
-    left = (columns - space.basis[: space.rows] @ s.absorbed) @ s.weights
-    return np.asarray(np.bincount(entry[acts], np.sum(left[acts] ** 2, axis=1), rows), dtype=float)
+    left = s.directions(columns[acts], space.basis[: space.rows][acts])
+    return np.asarray(np.bincount(entry[acts], np.sum(left**2, axis=1), rows), dtype=float)
 
 
 def extrapolated_in(rows: Rows, effect: Effect, places: Sequence[str], evidence: Array) -> tuple[str, ...]:
@@ -121,10 +121,12 @@ def extrapolated_in(rows: Rows, effect: Effect, places: Sequence[str], evidence:
     """
     joints = [int(place.removeprefix(effect.per)) - 1 for place in places if place.startswith(effect.per)]
     shows = evidence > 0.0
+    if not shows.any():
+        return ()
     found = []
     for name in effect.needs:
         values = rows.signals.get(name)
-        if values is None or values.ndim > 2 or not shows.any():
+        if values is None or values.ndim > 2:
             continue
         columns = values[:, None] if values.ndim == 1 else values[:, joints] if joints else values
         columns = columns[:, np.ptp(columns, axis=0) > 0.0]

@@ -337,14 +337,14 @@ class Bench:
             whole, scores = self._along(groups, fitted, whole, number)
             wander = max(wander, scores.wander)
             found, _ = self.decided(scores, whole, self.held_out(whole))
-            if isinstance(found, Tried) and any(group.refined_by(found.best.candidate) for group in groups):
+            if found is None:
                 break
             if isinstance(found, Tried):
+                if any(group.refined_by(found.best.candidate) for group in groups):
+                    break
                 alone = self._fitted_with(found, fitted, held_out)
                 found, refused = (None, [alone]) if alone.reason else (alone, [])
                 return GivenAmbiguity(found, [undecided] if refused else [], refused, wander)
-            if found is None:
-                break
             groups.append(found)
         return GivenAmbiguity(None, groups, [], wander)
 

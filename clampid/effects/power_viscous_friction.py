@@ -40,7 +40,7 @@ EFFECT = Effect(
             "joint",
             meaning="reference speed, 1 rad/s at the joint",
             shape=True,
-            grid=(1.0, 1.0, 1.0),
+            grid=(1.0, 1.0, 1.0),  # beside the exponents'
             fixed="everywhere",
             gearing=1,
         ),

@@ -118,6 +118,16 @@ class Scored:
         """Independent directions of the candidate in these rows."""
         return int(self.weights.shape[1])
 
+    def directions(self, columns: Array, basis: Array) -> Array:
+        """Its orthonormal directions ``(M, f)``.
+
+        Parameters
+        ----------
+        columns, basis
+            Its whitened columns ``(M, k)``, and the basis ``(M, r)`` of what the fit absorbs.
+        """
+        return np.asarray((columns - basis @ self.absorbed) @ self.weights)
+
     @property
     def value(self) -> Array:
         """One step from zero ``(k,)``: what the score makes of the parameters, SI."""
