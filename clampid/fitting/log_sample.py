@@ -10,7 +10,8 @@ from clampid.role_slots import weight_slots
 from clampid.slots import Slot
 from clampid.stages.loads import gravity_regressors
 from clampid.stages.log_design import LogDesign
-from clampid.stages.log_facts import LogPart, joint_columns
+from clampid.stages.log_facts import LogPart
+from clampid.stages.log_motion import joint_columns
 from clampid.stages.rows import Array, Integers, Rows
 
 __all__ = ["MOST_ROWS", "sampled_columns", "sampled_postures", "sampled_rows"]

@@ -15,7 +15,8 @@ import numpy as np
 
 from clampid.effect import Effect
 from clampid.roles import INERTIAS
-from clampid.stages.log_facts import LogFacts, Motion
+from clampid.stages.log_facts import LogFacts
+from clampid.stages.log_motion import Motion
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.signals import carried_sign
 

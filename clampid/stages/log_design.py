@@ -15,7 +15,8 @@ import pandas as pd
 
 from clampid.chain.chain import Chain
 from clampid.stages.counting import FIFTHS, counting, folds_of, motion_signals, negligible, standing_joints
-from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, joint_columns, stacked
+from clampid.stages.log_facts import WINDOW, LogFacts, LogPart
+from clampid.stages.log_motion import joint_columns, stacked
 from clampid.stages.prewhitening import LONGEST_LAG, Grouping, Whitener
 from clampid.stages.rows import Array, Bools, Integers
 from clampid.stages.temperatures import reads_temperatures, temperatures

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from clampid.stages import prewhitening
+from clampid.stages.log_motion import Motions, joint_columns, stacked
 from clampid.stages.motion_choice import (
     Excerpt,
     Regression,
@@ -26,19 +26,10 @@ from clampid.stages.rows import Array, Bools, Integers
 from experiments.campaign import Campaign
 from experiments.columns import LOGS
 from experiments.log_windows import LogTable, Window, windows
-from experiments.signals import (
-    differentiate,
-    medians,
-    misfit,
-    smallest_half,
-    speed_counts,
-    speeds,
-    stale_rows,
-    threshold_of_counts,
-)
+from experiments.signals import medians, smallest_half, speed_counts, threshold_of_counts
 from experiments.temperatures import filled
 
-__all__ = ["LogFacts", "LogPart", "Motion", "facts_of", "joint_columns", "log_parts", "stacked"]
+__all__ = ["LogFacts", "LogPart", "facts_of", "log_parts"]
 
 WINDOW = 1 << 15  # rows at once: half as many cost a fifth more time
 NEIGHBOURS_READ = 4  # neighbours that are read on either side, in halves of the differentiating window
@@ -50,7 +41,6 @@ CHOICE_EVERY, CHOICE_ROWS = 50 * WINDOW, 2 * WINDOW  # of a long log: by which i
 CLEAR_MOTION = 0.02  # of the top speed of the log
 STEADY = 0.15  # of the log's largest acceleration of a joint
 NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
-KEPT_BYTES = 1 << 26  # of a short log the motion of all windows is kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,90 +63,6 @@ def log_parts(campaigns: Sequence[Campaign]) -> list[LogPart]:
             whole = campaign.long[name].table if name in campaign.long else LogTable.of(filled(table, others))
             out.append(LogPart(campaign, s, name, whole))
     return out
-
-
-class Motion(NamedTuple):
-    """Positions, speeds and accelerations ``(w, n)`` of a window, rad, rad/s, rad/s²; which rows show them ``(w,)``."""
-
-    position: Array
-    speed: Array
-    acceleration: Array
-    resolved: Bools
-
-    def of(self, rows: Bools | Integers | slice) -> Motion:
-        """Some of the rows."""
-        return Motion(self.position[rows], self.speed[rows], self.acceleration[rows], self.resolved[rows])
-
-
-class Motions:
-    """The motion of a log's windows; kept where the log is short.
-
-    Parameters
-    ----------
-    n
-        Number of joints.
-    step
-        The usual time step, s.
-    way
-        From which columns, and over how long a window.
-    """
-
-    def __init__(self, n: int, step: float, way: Way) -> None:
-        self.n, self.step, self.way = n, step, way
-        self._kept: dict[tuple[int, int, int], Motion] = {}
-        self._room = KEPT_BYTES
-
-    @property
-    def columns(self) -> list[str]:
-        """The columns that a window has to have."""
-        kinds = [("q", "rad"), ("qd", "rad_s")] if self.way.logged else [("q", "rad")]
-        return ["run", "time_s", *(c for kind, unit in kinds for c in joint_columns(kind, unit, self.n))]
-
-    def of(self, part: int, window: Window) -> Motion:
-        """The motion of a window of one of the log's parts."""
-        key = part, window.first, len(window.columns["time_s"])
-        if key not in self._kept:
-            found = self.at(window)
-            size = sum(v.nbytes for v in found)
-            if size > self._room:
-                return found
-            self._kept[key] = found
-            self._room -= size
-        return self._kept[key]
-
-    def at(self, window: Window, wanted: Bools | None = None) -> Motion:
-        """The motion of a window, or only of the ``wanted`` rows ``(w,)`` of it; the others' accelerations are zero."""
-        q, time = stacked(window, joint_columns("q", "rad", self.n)), window.columns["time_s"]
-        run, length = window.columns["run"].astype(np.int64), self.way.window_s
-        shown = self.shown(window)
-        if not self.way.logged:
-            qd = speeds(q, time, run, length, self.step)
-            of, order = (q, 2) if self.way.direct else (qd, 1)
-            return Motion(q, qd, differentiate(of, time, run, order, length, None, self.step, wanted), shown)
-        qd = stacked(window, joint_columns("qd", "rad_s", self.n))
-        stale = stale_rows(q, run) if self.way.smoothed else None
-        acceleration = differentiate(qd, time, run, 1, length, stale, self.step, wanted)
-        if self.way.smoothed:
-            qd = differentiate(qd, time, run, 0, length, stale, self.step, wanted)
-        return Motion(q, qd, acceleration, shown)
-
-    def shown(self, window: Window) -> Bools:
-        """Which rows ``(w,)`` of a window are sampled closely enough to show their motion."""
-        if not self.way.trusted:
-            return np.ones(len(window.columns["time_s"]), dtype=bool)
-        return np.asarray(np.all(self.misfit(window) <= np.array(self.way.trusted), axis=1))
-
-    def misfit(self, window: Window) -> Array:
-        """By how far a window's samples are from the curves taken for them ``(w, n)``, as accelerations, rad/s²."""
-        kind, unit, order = ("qd", "rad_s", 1) if self.way.logged else ("q", "rad", 2)
-        values, time = stacked(window, joint_columns(kind, unit, self.n)), window.columns["time_s"]
-        run = window.columns["run"].astype(np.int64)
-        return misfit(values, time, run, order, self.way.window_s, self.step)
-
-    @property
-    def logged(self) -> bool:
-        """Whether the recorded speeds are used."""
-        return self.way.logged
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,16 +136,6 @@ def halo_of(step: float, window_s: float = WINDOW_S) -> int:
 def together_of(step: float) -> int:
     """How many neighbouring rows are averaged as one number for the noise; faster changes are the drives' vibration."""
     return max(1, round(TOGETHER_S / step))
-
-
-def joint_columns(kind: str, unit: str, n: int) -> list[str]:
-    """Names of n numbered columns, such as ``q1_rad``."""
-    return [f"{kind}{i + 1}_{unit}" for i in range(n)]
-
-
-def stacked(window: Window, names: Sequence[str]) -> Array:
-    """Columns of a window beside each other ``(w, c)``; in memory one after the other, as filters go through them."""
-    return np.array([window.columns[name] for name in names]).T
 
 
 def facts_of(
@@ -345,6 +241,8 @@ def _motions_of(parts: Sequence[LogPart], step: float, default: Way, window: int
         return Regression(excerpts, rows)
 
     way, left_out = chosen_way(default, candidates, lambda way: score(way).squares())
+    if 2 * smallest_half() * step > WINDOW_S:  # a sparse log: five samples do not fit into the shortest window
+        way, left_out = chosen_way(way, [[replace(way, in_moves=True)]], lambda way: score(way).squares())
     direct = replace(way, direct=not way.logged and way.window_s <= 2 * smallest_half() * step)
     trusted, left_out = trusted_rows(score(way), score(direct), left_out)
     return Motions(n, step, replace(direct, trusted=trusted) if trusted else way), left_out

@@ -5,7 +5,8 @@ long blurs the motion. Both raise the error of torques that were not fitted. So 
 torque is regressed on rigid-body dynamics, rotor inertia and friction by least squares, in which blocks of the log are
 predicted without themselves; the candidate with the least error is taken. The default (the recorded speeds where there
 are any, the shortest window) stays unless another one's error is smaller by more than two standard errors of the
-paired difference over the blocks: of logs whose motion has no visible noise, about 2 % leave it by chance.
+paired difference over the blocks: of logs whose motion has no visible noise, about 2 % leave it by chance. In a sparse
+log moves between rests may be taken as trapezoids of speed (:mod:`experiments.signals.moves`), by the same rule.
 
 Sources: errors in variables: Fuller, Measurement Error Models (1987), section 1.1; the choice of a filter's bandwidth
 by cross-validation: Fan & Gijbels, Local Polynomial Modelling and Its Applications (1996), section 4.2.
@@ -76,6 +77,8 @@ class Way:
         Whether recorded speeds are smoothed over the window too.
     direct
         Whether accelerations are taken from the positions in one step, so that they depend on fewer samples.
+    in_moves
+        Whether rows of moves that are trapezoids of speed have the trapezoid's speed and acceleration.
     trusted
         ``(n,)``, rad/s²: rows whose samples are farther off the curves taken for them do not count. Empty: all do.
     """
@@ -84,6 +87,7 @@ class Way:
     window_s: float
     smoothed: bool = False
     direct: bool = False
+    in_moves: bool = False
     trusted: tuple[float, ...] = ()
 
 

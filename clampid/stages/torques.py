@@ -20,7 +20,8 @@ from clampid.stages.loads import (
     inertial_signals,
     weight_rate,
 )
-from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, Motion, facts_of, joint_columns, log_parts
+from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, facts_of, log_parts
+from clampid.stages.log_motion import Motion, joint_columns
 from clampid.stages.presliding import friction_states
 from clampid.stages.repeats import with_repeats
 from clampid.stages.row_constants import LogConstants
@@ -34,7 +35,7 @@ __all__ = ["error", "moved", "residual", "torque_rows"]
 
 BLOCK_S = 2.0  # rows this close in time share their noise and are flipped together
 BLOCKS = 200  # at least, where a log is short: fewer cannot resolve a chance of 1 %
-BLOCK_ROWS = 24  # at least: twice the order of the noise's autoregression
+BLOCK_ROWS = 12  # at least: the order of the noise's autoregression, which whitening takes out
 
 
 def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array, first: int = 0) -> tuple[Array, Array]:

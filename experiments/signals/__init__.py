@@ -8,6 +8,7 @@ from experiments.signals.definite import solve_definite
 from experiments.signals.derivatives import acceleration, accelerations, differentiate, low_pass, speeds
 from experiments.signals.misfit import misfit
 from experiments.signals.motion import carried_sign, rest_threshold, speed_counts, threshold_of_counts
+from experiments.signals.moves import MoveMotion, motion_of_moves
 from experiments.signals.polynomial import smallest_half
 from experiments.signals.selection import medians
 from experiments.signals.shift import Shift, combine_shifts, time_shift
@@ -16,6 +17,7 @@ from experiments.signals.window import choose_window
 
 __all__ = [
     "Gap",
+    "MoveMotion",
     "Shift",
     "acceleration",
     "accelerations",
@@ -28,6 +30,7 @@ __all__ = [
     "low_pass",
     "medians",
     "misfit",
+    "motion_of_moves",
     "rest_threshold",
     "segments",
     "slip_states",
