@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -49,7 +50,7 @@ def next_poses(
 
 def poses_of(campaign: Campaign, found: NextPlan, seed: int) -> NextPoses:
     """The poses of a proposal."""
-    q, direction = _choices(campaign, seed)
+    q, direction = _choices_of(campaign, seed)
     chosen = list(found.chosen)
     return NextPoses(q[chosen], direction[chosen], found.state, found.before, found.after)
 
@@ -58,7 +59,7 @@ def poses_to_choose(
     campaign: Campaign, estimate: Estimate, candidates: Sequence[Candidate], state: str, seed: int
 ) -> Pool:
     """Poses that could be measured next, each from a side, the robot ``warm`` or ``cold``."""
-    q, direction = _choices(campaign, seed)
+    q, direction = _choices_of(campaign, seed)
     nuisance, columns = _imagined_columns(campaign, estimate, candidates, q, direction, state)
 
     def plan(chosen: Sequence[int], wished: dict[str, float | int | str]) -> Plan:
@@ -71,6 +72,19 @@ def poses_to_choose(
         return f"{', '.join(spans)} degrees; {TEMPERATURES[state]}"
 
     return Pool(nuisance, tuple(columns), np.ones(len(q)), ("pose", "poses"), BATCH, MAX_POSES, words, plan)
+
+
+_drawn: WeakKeyDictionary[Campaign, dict[int, tuple[Array, Array]]] = WeakKeyDictionary()
+
+
+def _choices_of(campaign: Campaign, seed: int) -> tuple[Array, Array]:
+    """As `_choices`, drawn once for a campaign: both states and every pair of candidates choose from the same poses."""
+    drawn = _drawn.setdefault(campaign, {})
+    if seed not in drawn:
+        drawn[seed] = _choices(campaign, seed)
+        for array in drawn[seed]:
+            array.flags.writeable = False
+    return drawn[seed]
 
 
 def _choices(campaign: Campaign, seed: int) -> tuple[Array, Array]:

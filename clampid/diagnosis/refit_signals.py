@@ -73,11 +73,13 @@ class Normal:
         """Add one measurement of the pool."""
         X = self.pool_X[k]
         known = "spread" in self.__dict__ and self.spread.max() < LARGEST_UPDATED_SPREAD
-        if known:  # by the matrix inversion lemma: from the beginning takes ten times as long
+        if known:  # by the matrix inversion lemma: computing it anew takes ten times as long
             balance, lower = self.factor
             solved = balance[:, None] * linalg.cho_solve((lower, True), (X * balance).T, check_finite=False)
-            shared = (self.pool_X.reshape(-1, len(solved)) @ solved).reshape(self.spread.shape)
-            self.spread = self.spread - shared @ np.linalg.solve(self.spread[k], shared.transpose(0, 2, 1))
+            root = linalg.cholesky(self.spread[k], lower=True, check_finite=False)
+            solved = linalg.solve_triangular(root, solved.T, lower=True, check_finite=False).T
+            half = (self.pool_X.reshape(-1, len(solved)) @ solved).reshape(self.spread.shape)
+            self.spread = self.spread - half @ half.transpose(0, 2, 1)
         self.A = self.A + X.T @ X
         for name in ("factor",) if known else ("factor", "spread"):
             self.__dict__.pop(name, None)
