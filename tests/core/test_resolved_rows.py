@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,20 @@ from clampid.stages.log_facts import LogFacts, facts_of, log_parts
 from experiments.campaign import Campaign, read_campaign
 from experiments.second_world import draw_robot, measure
 from experiments.second_world.session import open_session, torques
-from experiments.signals import misfit
+from experiments.signals import MoveMotion, misfit
+from experiments.signals.typing_ import Array, Integers
 
 STEP = 0.1
+
+
+@pytest.fixture
+def of_another_shape(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No move of a log is a trapezoid of speed."""
+
+    def nothing(q: Array, time: Array, run: Integers) -> MoveMotion:
+        return MoveMotion(np.zeros(q.shape), np.zeros(q.shape), np.full(q.shape, np.inf))
+
+    monkeypatch.setattr("clampid.stages.log_motion.motion_of_moves", nothing)
 
 
 def test_a_cubic_has_no_misfit_and_a_ramp_between_samples_has_one() -> None:
@@ -62,9 +74,8 @@ def seldom(
     return read_campaign(folder), torques(session, session.motion, []), session.motion.qdd
 
 
-def test_what_is_left_of_a_log_of_ten_hertz_is_its_noise(seldom: tuple[Campaign, np.ndarray, np.ndarray]) -> None:
-    """With all rows of clear motion the same fits leave some fifty times as much."""
-    campaign, true, qdd = seldom
+def used_rows(campaign: Campaign, true: np.ndarray) -> np.ndarray:
+    """Rows that count ``(N, n)``; of each motor there are enough, and what a fit leaves of them is their noise."""
     opened = on_campaign(identify(campaign), campaign)
     estimate = opened.refit("free_air", opened.rows("free_air")).estimate
     rows = estimate.problem.rows
@@ -73,10 +84,27 @@ def test_what_is_left_of_a_log_of_ten_hertz_is_its_noise(seldom: tuple[Campaign,
     for motor in range(rows.robot.n):
         used = rows.used[:, motor]
         assert np.sqrt(np.mean(estimate.residual[used, motor] ** 2)) < 1.1 * noise[motor]
+    return np.asarray(rows.used)
+
+
+def test_rows_that_speed_up_count_where_moves_are_trapezoids(seldom: tuple[Campaign, np.ndarray, np.ndarray]) -> None:
+    campaign, true, qdd = seldom
+    # A campaign of its own: what is known of a log is kept with it.
+    used = used_rows(replace(campaign), true).any(axis=1)
+    speeding = np.abs(qdd).max(axis=1) > 1e-9
+    assert used[speeding].mean() > 0.9
+
+
+@pytest.mark.usefixtures("of_another_shape")
+def test_what_is_left_of_a_log_of_ten_hertz_is_its_noise(seldom: tuple[Campaign, np.ndarray, np.ndarray]) -> None:
+    """With all rows of clear motion the same fits leave some fifty times as much."""
+    campaign, true, qdd = seldom
+    used = used_rows(replace(campaign), true).any(axis=1)
     # Rows count where the joints turn evenly.
-    assert np.mean(np.abs(qdd[rows.used.any(axis=1)]).max(axis=1) < 1e-9) > 0.97
+    assert np.mean(np.abs(qdd[used]).max(axis=1) < 1e-9) > 0.97
 
 
+@pytest.mark.usefixtures("of_another_shape")
 def test_the_screen_says_how_many_rows_show_the_motion(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
