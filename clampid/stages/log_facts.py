@@ -234,10 +234,10 @@ def _motions_of(parts: Sequence[LogPart], step: float, default: Way, window: int
         for (campaign, before, w), fast in zip(read, speed, strict=True):
             own = np.zeros(len(w.columns["time_s"]), dtype=bool)
             own[w.start : w.stop] = chosen_rows(before + w.first + np.arange(w.start, w.stop), rows)
-            motion = motions.at(w, own).of(own)
+            motion, misfit = motions.with_misfit(w, own)
             torque, moving = stacked(w, joint_columns("tau", "Nm", n))[own], (fast > slow)[own[w.start : w.stop]]
             number = before + w.first + np.flatnonzero(own)
-            excerpts.append(Excerpt(campaign, motion, torque, moving, number, motions.misfit(w)[own]))
+            excerpts.append(Excerpt(campaign, motion.of(own), torque, moving, number, misfit[own]))
         return Regression(excerpts, rows)
 
     way, left_out = chosen_way(default, candidates, lambda way: score(way).squares())

@@ -76,25 +76,36 @@ class Motions:
             self._room -= size
         return self._kept[key]
 
-    def at(self, window: Window, wanted: Bools | None = None) -> Motion:
-        """The motion of a window, or only of the ``wanted`` rows ``(w,)`` of it; the others' accelerations are zero."""
+    def at(self, window: Window) -> Motion:
+        """The motion of a window."""
+        return self._motion(window, self._moves(window), None)
+
+    def with_misfit(self, window: Window, wanted: Bools) -> tuple[Motion, Array]:
+        """The motion of the ``wanted`` rows ``(w,)`` of a window, the others' accelerations zero, and its misfit.
+
+        The misfit ``(w, n)``, rad/s², is by how far its samples are from the curves taken for them, as accelerations.
+        """
+        moves = self._moves(window)
+        return self._motion(window, moves, wanted), self._misfit(window, moves)
+
+    def _motion(self, window: Window, moves: MoveMotion | None, wanted: Bools | None) -> Motion:
         motion = self._of_neighbours(window, wanted)
-        misfit, moves = self._misfit_of_neighbours(window), self._moves(window)
         if moves is not None:
-            in_move = np.isfinite(moves.error)
             motion = motion._replace(
-                speed=np.where(in_move, moves.speed, motion.speed),
-                acceleration=np.where(in_move, moves.acceleration, motion.acceleration),
+                speed=np.where(moves.known, moves.speed, motion.speed),
+                acceleration=np.where(moves.known, moves.acceleration, motion.acceleration),
             )
-            misfit = np.where(in_move, moves.error, misfit)
         if not self.way.trusted:
             return motion
-        return motion._replace(resolved=np.all(misfit <= np.array(self.way.trusted), axis=1))
+        shown = self._misfit(window, moves) <= np.array(self.way.trusted)
+        return motion._replace(resolved=np.all(shown, axis=1))
 
-    def misfit(self, window: Window) -> Array:
-        """By how far a window's samples are from the curves taken for them ``(w, n)``, as accelerations, rad/s²."""
-        misfit, moves = self._misfit_of_neighbours(window), self._moves(window)
-        return misfit if moves is None else np.where(np.isfinite(moves.error), moves.error, misfit)
+    def _misfit(self, window: Window, moves: MoveMotion | None) -> Array:
+        kind, unit, order = ("qd", "rad_s", 1) if self.way.logged else ("q", "rad", 2)
+        values, time = stacked(window, joint_columns(kind, unit, self.n)), window.columns["time_s"]
+        run = window.columns["run"].astype(np.int64)
+        found = misfit(values, time, run, order, self.way.window_s, self.step)
+        return found if moves is None else np.where(moves.known, moves.error, found)
 
     def _moves(self, window: Window) -> MoveMotion | None:
         """The motion of a window's rows that belong to moves."""
@@ -117,12 +128,6 @@ class Motions:
         if self.way.smoothed:
             qd = differentiate(qd, time, run, 0, length, stale, self.step, wanted)
         return Motion(q, qd, acceleration, all_rows)
-
-    def _misfit_of_neighbours(self, window: Window) -> Array:
-        kind, unit, order = ("qd", "rad_s", 1) if self.way.logged else ("q", "rad", 2)
-        values, time = stacked(window, joint_columns(kind, unit, self.n)), window.columns["time_s"]
-        run = window.columns["run"].astype(np.int64)
-        return misfit(values, time, run, order, self.way.window_s, self.step)
 
     @property
     def logged(self) -> bool:

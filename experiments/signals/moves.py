@@ -52,6 +52,11 @@ class MoveMotion:
     acceleration: Array
     error: Array
 
+    @property
+    def known(self) -> Bools:
+        """Where a move was recognised ``(N, n)``."""
+        return np.isfinite(self.error)
+
 
 def motion_of_moves(q: Array, time: Array, run: Integers) -> MoveMotion:
     """Fit a trapezoid of speed to every move between two rests, all joints in step.
@@ -81,8 +86,9 @@ def motion_of_moves(q: Array, time: Array, run: Integers) -> MoveMotion:
     error = SECOND_DIFFERENCE * fit.noise / (since.max(axis=1) / (last - first)) ** 2
     # A sample that may lie on either side of a change of acceleration has its whole step as error.
     late = fit.late[:, None]
-    sides = [np.abs(_course(since + by * late, fit.times, 2) - _course(since, fit.times, 2)) for by in (-1.0, 1.0)]
-    errors = error[:, None, None] + np.abs(fit.way[:, None]) * np.maximum(*sides)[:, :, None]
+    here, before, after = (_course(since + by * late, fit.times, 2) for by in (0.0, -1.0, 1.0))
+    jump = np.maximum(np.abs(before - here), np.abs(after - here))
+    errors = error[:, None, None] + np.abs(fit.way[:, None]) * jump[:, :, None]
     for k in reversed(np.flatnonzero(error < RECOGNISED * np.abs(acceleration).max(axis=(1, 2)))):
         rows = place[k, own[k]]
         out.speed[rows], out.acceleration[rows], out.error[rows] = (v[k, own[k]] for v in (speed, acceleration, errors))
@@ -91,19 +97,18 @@ def motion_of_moves(q: Array, time: Array, run: Integers) -> MoveMotion:
 
 def _between_rests(q: Array, time: Array, run: Integers) -> tuple[Integers, Integers]:
     """First and last rows ``(m,)`` of the moves, with some samples of the rests on either side."""
-    nothing = np.zeros(0, dtype=np.int64)
-    if len(q) < 2:
-        return nothing, nothing
     same = (run[1:] == run[:-1]) & (time[1:] > time[:-1])
     rate = np.where(same[:, None], np.diff(q, axis=0) / np.where(same, np.diff(time), 1.0)[:, None], 0.0)
     moving = np.any(np.abs(rate) > rest_threshold(rate[same]), axis=1) & same
+    if not moving.any():
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     edge = np.diff(np.r_[0, moving.astype(np.int8), 0])
     begin, end = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)  # rows: the last at rest, the first again
     broken = np.r_[0, np.cumsum(~same)]  # number of the stretch of every row
     starts = np.searchsorted(broken, broken[begin], side="left")
     stops = np.searchsorted(broken, broken[end], side="right") - 1
-    first = np.maximum.reduce([begin - SAMPLES_AT_REST, starts, np.r_[-1, end[:-1]]]) if len(begin) else nothing
-    last = np.minimum.reduce([end + SAMPLES_AT_REST, stops, np.r_[begin[1:], len(q)]]) if len(begin) else nothing
+    first = np.maximum.reduce([begin - SAMPLES_AT_REST, starts, np.r_[-1, end[:-1]]])
+    last = np.minimum.reduce([end + SAMPLES_AT_REST, stops, np.r_[begin[1:], len(q)]])
     short = last - first < LONGEST_MOVE
     return first[short], last[short]
 
@@ -129,11 +134,10 @@ def _fitted(samples: Array, since: Array, own: Bools) -> _Fit:
     course = np.maximum.accumulate(np.where(own, along, -np.inf), axis=1)
     middle = np.array([np.interp(0.5, s[:c], t[:c]) for s, t, c in zip(course, since, count, strict=True)])
     length = since.max(axis=1)
-    starts = [(share * length, (1.0 - share) * length) for share in RAMPS_TRIED]
-    found = [
-        _descended(samples, since, own, np.stack([middle - 0.5 * (ramp + apart), ramp, apart], axis=1))
-        for ramp, apart in starts
-    ]
+    found = []
+    for share in RAMPS_TRIED:
+        start = np.stack([middle - 0.5 * length, share * length, (1.0 - share) * length], axis=1)
+        found.append(_descended(samples, since, own, start))
     least = np.argmin([left for _, left in found], axis=0)
     times = np.array([times for times, _ in found])[least, np.arange(len(least))]
     left, way, normal, _ = _linearised(samples, since, own, times)

@@ -8,32 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.plans.motion import Course
 from experiments.signals import accelerations, motion_of_moves
 
 Array = npt.NDArray[np.float64]
 STEP = 0.1  # s
 
 
-def trapezoid(time: Array, ramp: float, duration: float) -> tuple[Array, Array, Array]:
-    """Share of the way, its speed and its acceleration: integrated from the acceleration's three pieces."""
-    acceleration = 1.0 / (ramp * (duration - ramp))
-    up, down = np.clip(time, 0.0, ramp), np.clip(time - (duration - ramp), 0.0, ramp)
-    cruise = np.clip(time - ramp, 0.0, duration - 2 * ramp)
-    top = acceleration * ramp
-    way = acceleration * up**2 / 2 + top * cruise + top * down - acceleration * down**2 / 2
-    rising, falling = (time > 0) & (time < ramp), (time > duration - ramp) & (time < duration)
-    return way, acceleration * (up - down), acceleration * (rising.astype(float) - falling)
-
-
 def log(ways: Array, ramp: float, duration: float, offset: float, rest: float = 0.4) -> tuple[Array, ...]:
-    """Moves by ``ways`` ``(m, n)``, rad, one after the other: positions, speeds, accelerations, stamps."""
-    period = duration + rest
-    time = offset + STEP * np.arange(int(len(ways) * period / STEP))
-    q, qd, qdd = (np.zeros((len(time), ways.shape[1])) for _ in range(3))
-    for k, way in enumerate(ways):
-        s, sd, sdd = trapezoid(time - k * period - 0.5 * rest, ramp, duration)
-        q, qd, qdd = q + s[:, None] * way, qd + sd[:, None] * way, qdd + sdd[:, None] * way
-    return q, qd, qdd, time
+    """Moves by ``ways`` ``(m, n)``, rad, as plans drive them: positions, speeds, accelerations, stamps."""
+    knots = np.concatenate([np.zeros((1, ways.shape[1])), np.cumsum(ways, axis=0)])
+    course = Course(knots, np.full(len(ways), duration), np.full(len(ways), ramp), rest)
+    time = offset + STEP * np.arange(int(course.length / STEP))
+    return *course.at(time), time
 
 
 @settings(deadline=None, max_examples=25)
