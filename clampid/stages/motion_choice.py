@@ -48,7 +48,7 @@ SHARES_OF_ROWS = (0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)  # of the rows in motion
 ROWS_WEIGHED = 100  # of the log, about, for the inertia about the joints
 NEGLIGIBLE = 0.5  # of the noise
 RESOLVED = 1e-4  # of the accelerations: a misfit below is none
-NEGLIGIBLE_COLUMN = 1e-9  # of the largest column
+NEGLIGIBLE_COLUMN = 1e-9  # of the largest column, or joint's acceleration: what is less is rounding
 RIDGE = 1e-6  # of the balanced normal matrix: what the motion does not show is not fitted
 
 
@@ -212,14 +212,21 @@ class Regression:
         self._misfit = np.concatenate([e.misfit for e in excerpts])
         moves = self._moving.any(axis=1)
         acceleration = np.concatenate([np.abs(e.motion.acceleration) for e in excerpts])
-        self.top = np.max(acceleration[moves], axis=0, initial=1e-12)
-        """Largest accelerations ``(n,)`` of rows in motion, rad/s²."""
+        top = np.max(acceleration[moves], axis=0, initial=1e-12)
+        misfit = np.min(self._misfit[moves], axis=0, initial=np.inf)
+        stands = (top <= misfit) | (top <= NEGLIGIBLE_COLUMN * top.max())
+        self.top = np.where(stands, np.inf, top)
+        """Largest accelerations ``(n,)`` of rows in motion, rad/s²; infinite of a joint that stands.
+
+        Its accelerations are rounding, or all within their misfits: these would be large beside none.
+        """
         self._excerpts = excerpts
 
     @cached_property
     def unresolved(self) -> Array:
         """How badly rows ``(k,)`` show their motion: the largest of the joints' misfits over their accelerations."""
-        return np.asarray(np.max(self._misfit / self.top, axis=1))
+        moves = np.isfinite(self.top)
+        return np.asarray(np.max(self._misfit[:, moves] / self.top[moves], axis=1, initial=0.0))
 
     def limits(self) -> list[float]:
         """Values of :attr:`unresolved` that leave given shares of the rows in motion, ascending."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,8 @@ from clampid.planning.logs import torque_noise_of
 from clampid.planning.program import LogWishes
 from clampid.planning.scene import Scene
 from clampid.planning.wrist import SWING_STOPS, Fact, directions, facts, plan_wrist
+from clampid.stages import log_facts
+from clampid.stages.motion_choice import Way
 from experiments.campaign import read_campaign
 from experiments.plans import Cell, Limits, Plan, PlanError, cell_of, limits_of
 from experiments.plans.limits import motion_faults
@@ -137,3 +141,18 @@ def test_promised_errors_hold_on_the_virtual_robot(wrist: Plan, tmp_path: Path, 
     deviations = identified(wrist, tmp_path / "arm", seed)
     assert np.sqrt(np.mean(np.square(deviations))) < 1.5
     assert np.max(np.abs(deviations)) < 3.5
+
+
+def test_joints_that_stand_do_not_decide_which_rows_count(
+    wrist: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As trapezoids of speed their accelerations are rounding, beside which any misfit is large."""
+    chosen = log_facts.chosen_way
+
+    def with_moves(default: Way, candidates: Sequence[Sequence[Way]], score: Callable[[Way], Any]) -> tuple[Way, Any]:
+        last = candidates[-1][-1] if candidates else default
+        return (last, score(last)) if last.in_moves else chosen(default, candidates, score)
+
+    monkeypatch.setattr(log_facts, "chosen_way", with_moves)
+    deviations = identified(wrist, tmp_path / "arm", 1)
+    assert np.sqrt(np.mean(np.square(deviations))) < 1.5
