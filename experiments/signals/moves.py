@@ -23,6 +23,7 @@ from experiments.signals.typing_ import Array, Bools, Integers
 __all__ = ["MoveMotion", "motion_of_moves"]
 
 SAMPLES_AT_REST = 2  # before and after a move, which belong to it too: they say where it begins and ends
+AT_REST = 1e-3  # of a joint's largest speed: so few samples may rest that their noise is not known well
 LONGEST_MOVE = 200  # samples; with more a move is sampled closely enough to be differentiated
 UNKNOWN_TIMES = 3
 RAMPS_TRIED = (0.08, 0.2, 0.35, 0.5)  # of the move's duration: where the fit starts
@@ -33,6 +34,7 @@ SINGULAR = 1e-12  # of the normal matrix's trace
 SHORTEST_PART_S = 1e-3  # of a move
 LARGEST_FACTOR = 3.0  # by which a step of the fit changes a length
 RECOGNISED = 0.1  # of the move's largest acceleration, that the error of its accelerations is at most
+SURELY = 5.0  # standard errors of the times: farther from a change of acceleration, a sample is on its side of it
 SECOND_DIFFERENCE = 6.0**0.5  # its standard deviation over that of the samples
 
 
@@ -85,7 +87,7 @@ def motion_of_moves(q: Array, time: Array, run: Integers) -> MoveMotion:
     speed, acceleration = (fit.way[:, None] * _course(since, fit.times, order)[:, :, None] for order in (1, 2))
     error = SECOND_DIFFERENCE * fit.noise / (since.max(axis=1) / (last - first)) ** 2
     # A sample that may lie on either side of a change of acceleration has its whole step as error.
-    late = fit.late[:, None]
+    late = SURELY * fit.late[:, None]
     here, before, after = (_course(since + by * late, fit.times, 2) for by in (0.0, -1.0, 1.0))
     jump = np.maximum(np.abs(before - here), np.abs(after - here))
     errors = error[:, None, None] + np.abs(fit.way[:, None]) * jump[:, :, None]
@@ -99,7 +101,8 @@ def _between_rests(q: Array, time: Array, run: Integers) -> tuple[Integers, Inte
     """First and last rows ``(m,)`` of the moves, with some samples of the rests on either side."""
     same = (run[1:] == run[:-1]) & (time[1:] > time[:-1])
     rate = np.where(same[:, None], np.diff(q, axis=0) / np.where(same, np.diff(time), 1.0)[:, None], 0.0)
-    moving = np.any(np.abs(rate) > rest_threshold(rate[same]), axis=1) & same
+    slowest = np.maximum(rest_threshold(rate[same]), AT_REST * np.abs(rate).max(axis=0))
+    moving = np.any(np.abs(rate) > slowest, axis=1) & same
     if not moving.any():
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     edge = np.diff(np.r_[0, moving.astype(np.int8), 0])

@@ -16,6 +16,8 @@ from clampid.identification.identify import stage_rows
 from clampid.stages.layout import layout_of
 from clampid.stages.rows import Rows
 from experiments.campaign import Campaign, read_campaign
+from experiments.signals import MoveMotion
+from experiments.signals.typing_ import Array, Integers
 from experiments.simulate import simulate
 
 Simulated = Callable[..., Campaign]
@@ -71,3 +73,13 @@ def shared_folder() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no campaigns at {folder}")
     return folder
+
+
+@pytest.fixture
+def of_another_shape(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No move of a log is a trapezoid of speed, so that rows whose ramps lie between samples do not show the motion."""
+
+    def nothing(q: Array, time: Array, run: Integers) -> MoveMotion:
+        return MoveMotion(np.zeros(q.shape), np.zeros(q.shape), np.full(q.shape, np.inf))
+
+    monkeypatch.setattr("clampid.stages.log_motion.motion_of_moves", nothing)

@@ -71,3 +71,13 @@ def test_a_move_does_not_go_on_in_the_next_run() -> None:
     found = motion_of_moves(q, time, run)
     known = np.isfinite(found.error)
     assert np.all(np.abs(found.acceleration - qdd)[known] <= 1e-6 + 6.0 * found.error[known])
+
+
+def test_a_sample_beside_a_change_of_acceleration_has_its_step_as_error() -> None:
+    ramp, rest = 0.2, 0.4
+    q, _, qdd, time = log(np.array([[1.0, -0.5, 0.8]]), ramp, 1.2, 0.0, rest)  # samples where ramps begin and end
+    q = q + 1e-6 * np.random.default_rng(2).standard_normal(q.shape)
+    found = motion_of_moves(q, time, np.ones(len(q), dtype=np.int64))
+    change = int(np.argmin(np.abs(time - (rest + ramp))))
+    assert found.error[change, 0] > 0.9 * np.abs(qdd).max()
+    assert found.error[change + 2, 0] < 1e-3

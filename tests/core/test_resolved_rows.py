@@ -18,20 +18,9 @@ from clampid.stages.log_facts import LogFacts, facts_of, log_parts
 from experiments.campaign import Campaign, read_campaign
 from experiments.second_world import draw_robot, measure
 from experiments.second_world.session import open_session, torques
-from experiments.signals import MoveMotion, misfit
-from experiments.signals.typing_ import Array, Integers
+from experiments.signals import misfit
 
 STEP = 0.1
-
-
-@pytest.fixture
-def of_another_shape(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No move of a log is a trapezoid of speed."""
-
-    def nothing(q: Array, time: Array, run: Integers) -> MoveMotion:
-        return MoveMotion(np.zeros(q.shape), np.zeros(q.shape), np.full(q.shape, np.inf))
-
-    monkeypatch.setattr("clampid.stages.log_motion.motion_of_moves", nothing)
 
 
 def test_a_cubic_has_no_misfit_and_a_ramp_between_samples_has_one() -> None:
