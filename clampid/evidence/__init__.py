@@ -1,1 +1,1 @@
-"""Evidence for and against an effect that is not in the model: scores, flips, likeliest times, shared curves."""
+"""Evidence for effects that are not in the model: score tests, sign flips, times of events, shared curves."""

@@ -1,7 +1,7 @@
-"""Candidates: every absent effect at every place it could sit, and physics-free probes, as columns of one table.
+"""Candidates for addition to a model: every absent effect at each place where it could act, and probes without physics.
 
-A candidate is *location × covariate function*, so that named physics and probes share one code path: their columns say
-what a unit of each parameter would do to the measurement.
+A candidate is *location × covariate function*. Effects and probes therefore share one code path: each column is the
+derivative of the measurement by one parameter.
 """
 
 from __future__ import annotations
@@ -36,27 +36,28 @@ class Candidate:
     terms
         What would be added; empty for a probe.
     slots
-        The amplitudes behind the columns; empty for a probe.
+        The amplitudes, one for each column; empty for a probe.
     shapes
-        Values of shape parameters at which the columns were taken.
+        Values of the shape parameters at which the columns were evaluated, SI.
     columns
-        Whitened, one a slot.
+        Whitened, one for each slot.
     depends_on
         Recorded variables it depends on, by column name without unit.
     places
         Where it acts: ``joint3``, ``base`` …
     prior
-        Standard deviations ``(k,)`` of the amplitudes, of which it has too many to be identified without; else None.
+        Prior standard deviations ``(k,)`` of the amplitudes, if they are too many to be identified without a prior;
+        else None.
     sizes
-        What of that prior there may be, where it says no more than the largest size: a score chooses.
+        Factors on that prior, where it only bounds the size of the effect; the score test chooses one.
     sized_by
-        Of a named effect, the shape that is this size.
+        The effect's shape parameter that is this size.
     reasonable
-        Reasonable sizes ``(k,)`` of the amplitudes, as their declarations have them; None of a probe, which has none.
+        Declared reasonable sizes ``(k,)`` of the amplitudes; None for a probe.
     units
-        Of the amplitudes, on this robot.
+        Units of the amplitudes on this robot.
     describes
-        Effects whose outcome it states without a cause.
+        Names of the effects of which this one is a symptom (:attr:`clampid.search_policy.Search.symptom_of`).
     """
 
     name: str
@@ -75,12 +76,12 @@ class Candidate:
     describes: tuple[str, ...] = ()
 
     def is_variant_of(self, other: Candidate) -> bool:
-        """Whether both are one verdict at the same places and fits decide: of one family, or cause and outcome."""
+        """Whether fits decide between two candidates at the same places: of one family, or a cause and its symptom."""
         kin = self.family == other.family or self.name in other.describes or other.name in self.describes
         return kin and self.places == other.places
 
     def of_size(self, size: float) -> Candidate:
-        """The same with a prior of that size; the columns stay as they are."""
+        """The same candidate with the prior multiplied by ``size``; the columns are not changed."""
         if self.prior is None:
             return self
         shapes = {s: value * size if s == self.sized_by else value for s, value in self.shapes.items()}
@@ -88,24 +89,25 @@ class Candidate:
 
     @property
     def remembered(self) -> Candidate:
-        """The same without its columns, of which hundreds are as large as all that is active."""
+        """The same without its columns, to save memory."""
         return replace(self, columns=Columns((), 0))
 
     @property
     def label(self) -> str:
-        """For people: the effect and where it is."""
+        """``effect@place`` for messages; see :func:`label_of`."""
         return label_of(self.name, self.places)
 
 
 def label_of(name: str, places: Sequence[str]) -> str:
-    """For people: an effect and where it is."""
+    """``effect@place1,place2`` for messages; the name alone where it has no places."""
     return f"{name}@{','.join(places)}" if places else name
 
 
 def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Term]:
-    """Every effect that acts in this stage, at every place where it is not active yet; no events, none scanned.
+    """Every effect that acts in this stage, at every place where it is not active; without events and scanned effects.
 
-    What refines another effect is looked for where that is: a spring that hardens where there is a spring.
+    An effect that refines another one is searched only where the other is active: a hardening spring where there is a
+    spring.
     """
     active = {(s.effect, s.place) for s in estimate.slots}
     layout = estimate.problem.rows.layout
@@ -133,19 +135,19 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
 
 
 def _temperatures_vary(estimate: Estimate, effect: Effect) -> bool:
-    """Whether every temperature that an effect needs varies: at one that never does it is another effect's constant."""
+    """Whether every temperature that an effect needs varies; a constant one makes it a constant of another effect."""
     signals = estimate.problem.rows.signals
     return all(np.any(np.ptp(signals[name], axis=0) > 0.0) for name in effect.needs if reads_temperatures(name))
 
 
 def _sought(estimate: Estimate, effect: Effect, place: str) -> bool:
-    """Whether an effect is looked for at a joint or link: of its kind, and without a signal that shows it better."""
+    """Whether an effect is searched at a joint or link: the kind of joint fits, and no recorded signal replaces it."""
     joint = estimate.problem.rows.robot.joints[int(place.removeprefix(effect.per)) - 1]
     return effect.search.joint_kind in (None, joint.kind) and not _recorded(estimate, effect, place)
 
 
 def _recorded(estimate: Estimate, effect: Effect, place: str) -> bool:
-    """Whether the signal that an effect goes without varies at a joint or link; nothing is where it names none."""
+    """Whether the signal that supersedes an effect was recorded at a joint or link, that is, varies."""
     if effect.search.superseded_by is None:
         return False
     number = int(place.removeprefix(effect.per)) - 1
@@ -155,14 +157,20 @@ def _recorded(estimate: Estimate, effect: Effect, place: str) -> bool:
 def named_candidates(
     estimate: Estimate, effects: Mapping[str, Effect], fired: Collection[str] | None = None
 ) -> list[Candidate]:
-    """The absent effects as candidates: place by place, and at all remaining places at once where that is usual.
+    """The absent effects as candidates: place by place, or at all remaining places together, as their scope says.
 
     Events are scored by :func:`clampid.evidence.events.event_scores`.
 
     Parameters
     ----------
+    estimate
+        The fit whose residual is searched.
+    effects
+        All known effects, by name.
     fired
-        Names of the probes that fired; effects that others reveal are left out. None: nothing is left out.
+        Names of the significant probes. An effect with a revealing probe
+        (:attr:`clampid.search_policy.Search.revealed_by`) is a candidate only if that probe is among them. None: every
+        absent effect is a candidate.
     """
     rows = estimate.problem.rows
     terms = terms_not_active(estimate, effects)
@@ -188,7 +196,7 @@ def named_candidates(
     grids = max((len(p.grid) for p in parameters.values() if p.shape), default=1)
     out: list[Candidate] = []
     for level in range(grids):
-        # Only effects with a shape look different at the further values of its grid.
+        # At further grid values only the columns of effects with a shape parameter change.
         deep = {s.effect for s in every if level < len(parameters[s].grid)}
         extra = [s for s in every if level == 0 or s.effect in deep]
         values = [parameters[s].grid[level] if parameters[s].shape else 0.0 for s in extra]
@@ -212,7 +220,7 @@ def named_candidates(
 
 
 def columns_of(estimate: Estimate, candidates: Sequence[Candidate]) -> Array:
-    """Whitened columns ``(M, k)`` of candidates in the rows that another fit counts, each slot once."""
+    """Whitened columns ``(M, k)`` of candidates in the rows of an estimate; slots active there are left out."""
     active = set(estimate.slots)
     shapes = {slot: value for c in candidates for slot, value in c.shapes.items() if slot not in active}
     amplitudes = list(dict.fromkeys(slot for c in candidates for slot in c.slots if slot not in active))

@@ -1,4 +1,4 @@
-"""Columns of the table of rows and effects, kept as the blocks in which they are not zero."""
+"""Whitened Jacobian columns of candidates, stored as the blocks in which they are not zero."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from clampid.stages.rows import Array, Integers
 
 __all__ = ["Columns", "Joined", "Levers", "Products", "Sums", "channel_starts", "columns_from"]
 
-MOST_JOINED_COLUMNS = 128  # columns that share a product: more would gain no time, and take memory
+MOST_JOINED_COLUMNS = 128  # columns that share a matrix product: more saves no time and needs more memory
 
 
 @dataclass(frozen=True)
 class Sums:
-    """Weighted sums over groups of entries, such as what each unit adds to a product with the residual.
+    """Weighted sums over groups of entries, such as the share of each unit in a product with the residual.
 
     Attributes
     ----------
     matrix
-        ``(groups, M)``, an entry in each column.
+        ``(groups, M)``, one non-zero in each column.
     pieces
-        Parts of it for some of the entries: hundreds of candidates ask for the same few.
+        Cache of column ranges of the matrix: hundreds of candidates need the same few.
     """
 
     matrix: sparse.csc_matrix
@@ -44,7 +44,7 @@ class Sums:
         return int(self.matrix.shape[0])
 
     def over(self, start: int, stop: int) -> sparse.csr_matrix:
-        """``(groups, stop - start)``: of the entries from start to stop alone."""
+        """The matrix for the entries from ``start`` to ``stop`` only: ``(groups, stop - start)``."""
         key = (start, stop)
         if key not in self.pieces:
             self.pieces[key] = self.matrix[:, start:stop].tocsr()
@@ -99,7 +99,17 @@ class Columns:
 
 @dataclass(frozen=True, eq=False)
 class Levers:
-    """What a unit at each of some places does to each whitened entry ``(M, n)``, and the row ``(M,)`` that it is of."""
+    """Derivatives of the whitened entries by a deviation at each place.
+
+    Attributes
+    ----------
+    values
+        ``(M, n)``: derivative of each entry by a unit deviation at each place.
+    entry
+        ``(M,)``: the row that each entry belongs to.
+    rows
+        Number of rows N.
+    """
 
     values: Array
     entry: Integers
@@ -110,13 +120,13 @@ class Levers:
         return np.asarray(np.bincount(self.entry, weights, minlength=self.rows), dtype=float)
 
     def times(self, place: int, other: Array) -> Array:
-        """``(N, r)``: a place's lever times other ``(M, r)``, summed over the entries of each row."""
+        """A place's derivatives times ``other`` ``(M, r)``, summed over the entries of each row: ``(N, r)``."""
         count = len(self.entry)
         lever = sparse.csr_matrix((self.values[:, place], (self.entry, np.arange(count))), shape=(self.rows, count))
         return np.asarray(lever @ other[:count])
 
     def summed(self, place: int, sums: Sums) -> sparse.csr_matrix:
-        """``(groups, N)``: a place's lever, by weighted sums over groups of entries, for each row."""
+        """Weighted sums over groups of entries of a place's derivatives, for each row: ``(groups, N)``."""
         count = len(self.entry)
         to_row = sparse.csr_matrix((self.values[:, place], (np.arange(count), self.entry)), shape=(count, self.rows))
         return sums.over(0, count) @ to_row
@@ -124,17 +134,17 @@ class Levers:
 
 @dataclass(frozen=True)
 class Products:
-    """Whitened columns ``(M, k)`` that are products of a lever and functions of each row: every place's in turn.
+    """Whitened columns ``(M, k)`` that are products of a place's levers and functions of the row, place after place.
 
-    A place's columns are D = diag(lever) F, F the same for all entries of a row, so that sums over entries are taken
-    once a row and not once a column: of hundreds of columns the table itself is never written down.
+    A place's columns are D = diag(lever) F. F is the same for all entries of a row, so sums over entries are formed
+    once for each row and not once for each column, and the dense table is never formed.
 
     Attributes
     ----------
     places
-        Those of the levers.
+        Column numbers in ``levers.values``.
     functions
-        ``(N, f)`` of each place: its functions in each row.
+        For each place its functions in each row ``(N, f)``.
     """
 
     levers: Levers
@@ -148,7 +158,7 @@ class Products:
 
     @property
     def placed(self) -> list[tuple[int, Array, slice]]:
-        """The places, the functions of each, and where their columns stand."""
+        """Each place with its functions ``(N, f)`` and the range of its columns."""
         starts = np.cumsum([0, *(F.shape[1] for F in self.functions)]).tolist()
         own = [slice(*both) for both in pairwise(starts)]
         return list(zip(self.places, self.functions, own, strict=True))
@@ -163,7 +173,7 @@ class Products:
         return out
 
     def times(self, other: Array) -> Array:
-        """``(k, …)``: D' other, for other ``(M, …)``, of which only the first M entries count."""
+        """``(k, …)``: D' other, from the first M entries of ``other``."""
         if other.ndim == 1:
             row = [self.levers.by_row(self.levers.values[:, i] * other[: len(self.levers.entry)]) for i in self.places]
             return np.concatenate([F.T @ sums for F, sums in zip(self.functions, row, strict=True)])
@@ -183,15 +193,15 @@ class Products:
 
 @dataclass(frozen=True)
 class Joined:
-    """The columns of many candidates side by side, K in all: each product is taken with many of them at once.
+    """The columns of many candidates side by side, K in all, so that each matrix product serves many of them.
 
-    A table of hundreds of megabytes is then read once for all of them, and not once for each.
+    A table of hundreds of megabytes is then read once, not once for each candidate.
     """
 
     members: Sequence[Columns | Products]
 
     def times(self, other: Array) -> Array:
-        """``(K, r)``: D' other, for other ``(M, r)``, of which only the first entries count."""
+        """``(K, r)``: D' other, from the first M entries of ``other`` ``(…, r)``."""
         return self._all(
             other.shape[1],
             lambda start, block: block.T @ other[start : start + len(block)],
@@ -207,11 +217,11 @@ class Joined:
         )
 
     def own(self, whole: Array) -> list[Array]:
-        """Each candidate's lines of ``(K, …)``."""
+        """Each candidate's part of an array ``(K, …)``."""
         return np.split(whole, np.cumsum([m.width for m in self.members], dtype=int))[:-1]
 
     def batches(self, whole: Array, width: int) -> list[tuple[Joined, Array]]:
-        """The candidates in turn, some at a time of about ``width`` columns, with their lines of ``(K, …)``."""
+        """Groups of consecutive candidates with about ``width`` columns in all, each with its part of ``(K, …)``."""
         which = np.cumsum([0, *(m.width for m in self.members[:-1])]) // width
         edges = [0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), len(self.members)]
         own = self.own(whole)
@@ -223,7 +233,7 @@ class Joined:
         of_block: Callable[[int, Array], Array],
         of_place: Callable[[Levers, int], Array | sparse.csc_matrix],
     ) -> Array:
-        """``(K, width)``: what is made of each piece's columns, or each place's functions times a product by row."""
+        """``(K, width)``: ``of_block`` of each stored block, or each place's functions times ``of_place``, summed."""
         blocks: dict[tuple[int, int], list[tuple[slice, Array]]] = {}
         places: dict[tuple[Levers, int], list[tuple[slice, Array]]] = {}
         first = 0
@@ -249,7 +259,7 @@ class Joined:
 
 
 def _side_by_side(parts: Sequence[tuple[slice, Array]]) -> list[tuple[Integers, Array]]:
-    """Blocks of one length joined to at least :data:`MOST_JOINED_COLUMNS` columns, with the lines of all of these."""
+    """Blocks of one length joined to about :data:`MOST_JOINED_COLUMNS` columns, with the numbers of these columns."""
     out: list[tuple[Integers, Array]] = []
     lines: list[Integers] = []
     blocks: list[Array] = []
@@ -263,7 +273,7 @@ def _side_by_side(parts: Sequence[tuple[slice, Array]]) -> list[tuple[Integers, 
 
 
 def channel_starts(white: Whitened) -> tuple[tuple[int, int], ...]:
-    """(first, last + 1) of each channel's entries; entries stand channel by channel."""
+    """(first, last + 1) of each channel's entries; entries are ordered by channel."""
     if not len(white.channel):
         return ()
     edges = np.flatnonzero(np.diff(white.channel)) + 1

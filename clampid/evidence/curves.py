@@ -1,4 +1,4 @@
-"""Curves over a joint's angle as a fit has them, with their covariance, and turned by an angle."""
+"""Fitted angle-error curves of joints: their information matrix, their prior, and their shift in phase."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from clampid.effect import Effect
-from clampid.evidence.of_size import evidence, rows_say
+from clampid.evidence.of_size import evidence, rows_information
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
 from clampid.stages.rows import Array, Bools
@@ -19,22 +19,23 @@ __all__ = ["CurvePart", "Curves", "coefficient_names", "curves_of", "turned", "w
 
 @dataclass(frozen=True)
 class Curves:
-    """Information of the rows on the joints' own curves, and the shape of their prior.
+    """Likelihood of the curves of J single joints, and their prior.
 
-    Coefficients of a joint are in the order of harmonics, sine and cosine of each: ``2 K``.
+    A joint has ``2 K`` coefficients: sine and cosine of each harmonic, in ascending order.
 
     Attributes
     ----------
     joints
         Joints (from 0) that have a curve.
     information
-        ``(J, 2K, J, 2K)``, 1/rad²: of the rows alone, all else in the model integrated out.
+        ``(J, 2K, J, 2K)``, 1/rad²: of the rows alone, without the prior; all other parameters integrated out.
     score
         ``(J, 2K)``, 1/rad: information times estimate.
     seat
-        ``(2L,)``, rad: standard deviations of the prior of the first L harmonics, which always are a joint's own.
+        ``(2L,)``, rad: prior standard deviations of the first L harmonics. These come from how a gear is seated and are
+        never shared between joints.
     share
-        ``(2K - 2L,)``: of the further ones, per unit of their root mean square over a turn.
+        ``(2K - 2L,)``: prior standard deviations of the other harmonics, per unit of the curve's rms over a turn.
     """
 
     joints: tuple[int, ...]
@@ -45,19 +46,29 @@ class Curves:
 
     @property
     def low(self) -> int:
-        """2L, how many coefficients stay a joint's own."""
+        """2L, the number of coefficients that are never shared between joints."""
         return len(self.seat)
 
 
 def coefficient_names(effect: Effect) -> tuple[list[str], list[str], list[str]]:
-    """Coefficients of the curve; of the joints' own, those that the curve lacks, and the others."""
+    """Names of the shared curve's coefficients; of a joint's own that are never shared; and of its others."""
     shared = [p.name for p in effect.parameters if p.per == "robot" and not p.shape]
     own = [p.name.removeprefix("own_") for p in effect.parameters if p.name.startswith("own_")]
     return shared, [a for a in own if a not in shared], [a for a in own if a in shared]
 
 
 def curves_of(estimate: Estimate, effect: Effect, places: Sequence[str] | None = None) -> Curves:
-    """What an estimate's rows say of the curves that ``effect`` may align, at some places or all."""
+    """Likelihood and prior of the curves of an estimate that ``effect`` may align, at some places or all.
+
+    Parameters
+    ----------
+    estimate
+        A fit with curves of single joints.
+    effect
+        The effect that aligns these curves (:attr:`clampid.effect.Effect.aligns`).
+    places
+        Joints to include (``joint3`` …); all by default.
+    """
     own = estimate.problem.effects[str(effect.aligns)]
     shared, low, _ = coefficient_names(effect)
     names = [*low, *shared]
@@ -67,7 +78,7 @@ def curves_of(estimate: Estimate, effect: Effect, places: Sequence[str] | None =
     allowed = {f"joint{j + 1}" for j in range(n)} if places is None else set(places)
     joints = tuple(j for j, found in where.items() if min(found) >= 0 and f"joint{j + 1}" in allowed)
     chosen = np.array([k for j in joints for k in where[j]], dtype=int)
-    information, score = rows_say(estimate, chosen)
+    information, score = rows_information(estimate, chosen)
     unit = estimate.values()[Slot(own.name, str(own.sized_by), own.at)]  # rad, in which the coefficients are counted
     width = len(names)
     return Curves(
@@ -81,7 +92,15 @@ def curves_of(estimate: Estimate, effect: Effect, places: Sequence[str] | None =
 
 @dataclass(frozen=True)
 class CurvePart:
-    """Information and score on some coefficients with their prior, and the evidence of what was integrated out."""
+    """Gaussian likelihood of k coefficients with their prior, and the log evidence of those integrated out before.
+
+    Attributes
+    ----------
+    information, score, prior
+        ``(k, k)``, ``(k,)``, and prior standard deviations ``(k,)``.
+    evidence
+        Natural logarithm.
+    """
 
     information: Array
     score: Array
@@ -89,16 +108,16 @@ class CurvePart:
     evidence: float = 0.0
 
     def total(self) -> float:
-        """The evidence, these coefficients integrated out as well."""
+        """Logarithm of the evidence with these coefficients integrated out as well."""
         return self.evidence + evidence(self.information, self.score, self.prior)[0]
 
     def mean(self) -> Array:
-        """The posterior mean."""
+        """The posterior mean ``(k,)``."""
         return evidence(self.information, self.score, self.prior)[1]
 
 
 def without_curves(part: CurvePart, gone: Bools) -> CurvePart:
-    """Integrate out the coefficients with the mask ``gone`` under their prior."""
+    """Integrate out the coefficients marked in ``gone`` ``(k,)`` under their prior."""
     keep = ~gone
     if not gone.any():
         return part
@@ -114,7 +133,15 @@ def without_curves(part: CurvePart, gone: Bools) -> CurvePart:
 
 
 def turned(sense: float, phase: float, harmonics: Array) -> Array:
-    """How a joint's coefficients ``(2k,)`` follow from the curve's: the matrix ``(2k, 2k)`` of ``s g(s q - phase)``."""
+    """The matrix ``(2k, 2k)`` from the coefficients of a curve g to those of ``s g(s q - phase)``.
+
+    Parameters
+    ----------
+    sense, phase
+        s, +1 or -1; and rad.
+    harmonics
+        ``(k,)``: orders of the harmonics.
+    """
     C, S = np.cos(harmonics * phase), np.sin(harmonics * phase)
     out = np.zeros((2 * len(harmonics), 2 * len(harmonics)))
     sine, cosine = np.arange(0, len(out), 2), np.arange(1, len(out), 2)

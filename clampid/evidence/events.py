@@ -1,15 +1,15 @@
-"""Events as candidates: effects that happen once, at the likeliest of all times at which a sweep would show them.
+"""Events as candidates: effects that happen once, such as a slip, each scored at its likeliest time.
 
-What an event does is a step: its columns at any time are those that it would have had before its sweep began, zero up
-to then. So the effect is evaluated once, and a time costs no more than a product with the residual.
+An event is a step. Its columns for any time are those of an event before the sweep, set to zero up to that time. So the
+effect is evaluated once, and each further time costs only a product with the residual.
 
-The whitened image of a step is a few rows wide where noise lasts, so that it may lie in one block whole. Flipping the
-signs of blocks then changes nothing, and the null is the chi-square tail, times the number of times that were tried
-(the union bound). What residuals hold beyond noise, such as a misfit at reversals, is no event: it comes again in other
-sweeps, so that the second of the sweeps' largest statistics sets the scale, where it is larger than noise makes it.
-Two events would so hide each other: at twice the number of tests it is also asked whether the largest of another
-joint's sweeps stands out of all the rest. Of the same joint it would not do, since a misfit comes again in all sweeps
-of its joint. Of two events the larger is named first, and the other is looked for with the first in the model.
+Where noise is correlated in time, a whitened step is only a few rows wide and may lie inside one block. Sign flips of
+blocks then change nothing. The null is therefore the chi-square tail, times the number of times tried (the union
+bound). Systematic misfit, such as at reversals, is no event: it recurs in other sweeps. Therefore the second largest of
+the sweeps' maxima sets the scale, if it is larger than expected from noise. Two events would so hide each other. A
+second test, for which the p-value is doubled, asks whether the maxima of two sweeps of different joints stand out
+together. Sweeps of the same joint cannot be used for it, because misfit recurs in all sweeps of a joint. Of two events
+the larger is reported first; the other is searched with the first in the model.
 Sources: Page, A test for a change in a parameter occurring at an unknown point, Biometrika 42, 1955; Devlin, Roeder,
 Genomic control for association studies, Biometrics 55, 1999, for the scale from statistics of the same test.
 """
@@ -35,17 +35,20 @@ from clampid.stages.stage_kind import kind_of
 
 __all__ = ["absent_events", "event_scores", "time_of"]
 
-BEFORE, LATE = 0.25, 0.75  # in ``sweep_progress``: an event, and rows that all come after it
+# Values of ``sweep_progress`` with which columns are evaluated: an event at the first, all rows at the second.
+EVENT_PROGRESS, ROW_PROGRESS = 0.25, 0.75
 
 
 @dataclass(frozen=True)
-class Scan:
-    """What an event would explain at each time at which it could have happened.
+class EventScan:
+    """What an event would explain at each of T possible times.
 
     Attributes
     ----------
-    time, explained
-        ``(T,)``: in ``sweep_progress``, between two rows; sum of squares, in units of the residual's variance.
+    time
+        ``(T,)``: as values of ``sweep_progress``, each between two rows.
+    explained
+        ``(T,)``: sum of squares explained, in units of the residual's variance.
     driven
         ``(T,)``: the joint that the sweep drives, from 0.
     """
@@ -60,23 +63,25 @@ class Scan:
         return float(self.time[np.argmax(self.explained)])
 
     def log_p(self, freedom: int, entries: int) -> float:
-        """Natural logarithm of the chance that noise, or what other sweeps show too, explains as much at any time.
+        """Natural logarithm of the p-value of the likeliest time, corrected for all times tried.
 
         Parameters
         ----------
         freedom
-            Amplitudes of the event.
+            Number of amplitudes of the event.
         entries
-            How many whitened numbers there are.
+            Number of whitened entries.
         """
         _, first = np.unique(np.floor(self.time), return_index=True)
-        largest = np.maximum.reduceat(self.explained, first)  # in the order of time, so that sweeps are runs
+        largest = np.maximum.reduceat(self.explained, first)  # times ascend, so each sweep's are consecutive
         best = int(np.argmax(largest))
         elsewhere = np.where(self.driven[first] != self.driven[first][best], largest, 0.0)
         usual = float(stats.chi2.isf(1.0 / len(self.time), freedom))
         tails = []
         for events in ([best], *([[best, int(np.argmax(elsewhere))]] if elsewhere.any() else [])):
-            unbiased = max(entries - float(largest[events].sum()), 1.0) / entries  # the residual's variance without
+            unbiased = (
+                max(entries - float(largest[events].sum()), 1.0) / entries
+            )  # residual variance without the events
             scale = max([unbiased, *(np.delete(largest, events) / usual)])
             tails.append(float(log_tail(float(largest[events].min()) / scale, freedom)))
         tests = len(tails) * len(self.time)
@@ -84,14 +89,22 @@ class Scan:
 
 
 def absent_events(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Effect]:
-    """The events that could act in an estimate's stage and that it leaves out."""
+    """The events that can act in an estimate's stage and are not in it."""
     active, stage = {slot.effect for slot in estimate.slots}, estimate.problem.stage
     found = [e for e in effects.values() if e.event is not None and kind_of(stage).has(e) and e.name not in active]
     return [e for e in found if e.search.refines is None or e.search.refines in active]
 
 
 def event_scores(estimate: Estimate, space: Space, effects: Mapping[str, Effect]) -> list[Scored]:
-    """Each absent event at its likeliest time; the p-value and the cost are those of all the times that were tried."""
+    """Each absent event at its likeliest time; p-value and cost are corrected for all times tried.
+
+    Parameters
+    ----------
+    estimate, space
+        A fit of sweeps, and its residual with the span that it absorbs.
+    effects
+        All known effects, by name.
+    """
     found = []
     for effect in absent_events(estimate, effects):
         steps = _unit_steps(estimate, effect)
@@ -108,12 +121,12 @@ def event_scores(estimate: Estimate, space: Space, effects: Mapping[str, Effect]
 
 
 def time_of(estimate: Estimate, effect: Effect) -> dict[Slot, float]:
-    """When an event that a fit leaves out is likeliest to have happened; empty where it cannot show."""
+    """The likeliest time of an event that is not in a fit, as the value of its slot; empty if no sweep can show it."""
     scan = _scanned(estimate, space_of(estimate), _unit_steps(estimate, effect))
-    return {} if scan is None else {_clock(effect): scan.best}
+    return {} if scan is None else {_time_slot(effect): scan.best}
 
 
-def _clock(effect: Effect) -> Slot:
+def _time_slot(effect: Effect) -> Slot:
     return Slot(effect.name, str(effect.event), effect.at)
 
 
@@ -122,25 +135,26 @@ def _amplitudes(effect: Effect) -> tuple[Slot, ...]:
 
 
 def _unit_steps(estimate: Estimate, effect: Effect) -> Array:
-    """What a unit of each of an event's amplitudes does to rows after it ``(N, m, k)``."""
+    """Derivatives ``(N, m, k)`` of the rows by each of an event's amplitudes, as if all rows came after it."""
     rows, count, slots = estimate.problem.rows, len(estimate.slots), _amplitudes(effect)
-    after = replace(rows, signals={**rows.signals, "sweep_progress": np.full(len(rows), LATE)})
-    trial = estimate.problem.with_slots((*estimate.slots, *slots, _clock(effect))).with_rows(after)
-    theta = np.r_[estimate.theta[:count], np.zeros(len(slots)), BEFORE, estimate.theta[count:]]
+    after = replace(rows, signals={**rows.signals, "sweep_progress": np.full(len(rows), ROW_PROGRESS)})
+    trial = estimate.problem.with_slots((*estimate.slots, *slots, _time_slot(effect))).with_rows(after)
+    theta = np.r_[estimate.theta[:count], np.zeros(len(slots)), EVENT_PROGRESS, estimate.theta[count:]]
     return np.asarray(trial.residual(theta)[1][:, :, count : count + len(slots)])
 
 
 def _positions(rows: Rows) -> tuple[Integers, Integers]:
-    """Where each row stands in its sweep, from 0, and how many rows that has: ``(N,)`` each."""
+    """Position of each row in its sweep, from 0, and the number of rows of that sweep: ``(N,)`` each."""
     _, run, length = np.unique(rows.series.run, return_inverse=True, return_counts=True)
     share = rows.signals["sweep_progress"] % 1.0
     return np.rint(share * length[run]).astype(np.int64), length[run]
 
 
-def _scanned(estimate: Estimate, space: Space, steps: Array) -> Scan | None:
-    """An event at every time of every sweep; None where no sweep shows it at any.
+def _scanned(estimate: Estimate, space: Space, steps: Array) -> EventScan | None:
+    """An event at every time of every sweep; None if no sweep can show it at any time.
 
-    With less than a block of rows before it or after it, an event is as good as the sweep's beginning or end.
+    Times with less than a block of rows before or after them are left out: such an event cannot be distinguished from
+    the sweep's start or end.
     """
     rows, white, k = estimate.problem.rows, estimate.whitened, steps.shape[2]
     position, length = _positions(rows)
@@ -163,14 +177,15 @@ def _scanned(estimate: Estimate, space: Space, steps: Array) -> Scan | None:
             time.append(float(progress[row]) - 0.5 / float(length[row]))
             explained.append(value / space.scale**2)
             driven.append(int(rows.sweep.driven[row]))
-    return Scan(np.array(time), np.array(explained), np.array(driven, dtype=np.int64)) if time else None
+    return EventScan(np.array(time), np.array(explained), np.array(driven, dtype=np.int64)) if time else None
 
 
 @dataclass(frozen=True)
 class _Sums:
-    """What a score needs of an event's columns D at each of S times in one sweep, filled channel by channel.
+    """Products of an event's columns D at each of S times in one sweep, accumulated channel by channel.
 
-    D'D ``(S, k, k)``, Q'D ``(S, r, k)`` and D'r ``(S, k)``.
+    D'D ``(S, k, k)``, Q'D ``(S, r, k)`` and D'r ``(S, k)``, with the basis Q of what the fit absorbs and its residual
+    r.
     """
 
     gram: Array
@@ -190,7 +205,7 @@ class _Sums:
         self.amplitude[:] += (residual @ D).reshape(times, k)
 
     def explained(self, time: int) -> float | None:
-        """Sum of squares that the columns explain at a time; None where what is active absorbs them all."""
+        """Sum of squares that the columns explain at a time; None if the active parameters absorb them all."""
         gram, absorbed = self.gram[time], self.absorbed[time]
         length = np.sqrt(np.diag(gram))
         if not length.all():
@@ -208,7 +223,7 @@ def _whitened_step(estimate: Estimate, steps: Array, after: Array) -> Array:
 
 
 def _candidate(estimate: Estimate, effect: Effect, steps: Array, time: float) -> Candidate:
-    """An event at a time."""
+    """An event at a time (a value of ``sweep_progress``) as a candidate."""
     rows, white = estimate.problem.rows, estimate.whitened
     progress = rows.signals["sweep_progress"]
     columns = _whitened_step(estimate, steps, (progress > time) & (progress < np.floor(time) + 1.0))
@@ -219,7 +234,7 @@ def _candidate(estimate: Estimate, effect: Effect, steps: Array, time: float) ->
         family=effect.family,
         terms=(Term(effect.name, effect.at),),
         slots=slots,
-        shapes={_clock(effect): time},
+        shapes={_time_slot(effect): time},
         columns=Columns(pieces, len(slots)),
         depends_on=(),
         places=(effect.at,),

@@ -1,16 +1,16 @@
-"""Effects that act over a few degrees of one joint, tried at every angle that poses visited.
+"""Effects that act over a few degrees of one joint, such as a bump, tried at every angle that poses visited.
 
-A place's column is what the joint's angle does to the measurement times the effect's shape about that place, so that
-the effect is evaluated once and a place costs a sparse product. The best place of each joint becomes a candidate. Its
-shape is then refined between the places tried, and each shape parameter is charged like an amplitude. A place needs
-several visits near it: the error of a single visit may be that visit's own.
+The column of an angle is the derivative of the measurement by the joint's angle, times the effect's shape about that
+angle. So the effect is evaluated once, and each angle costs a sparse product. The best angle of each joint becomes a
+candidate. Its shape is then refined between the angles tried, and each shape parameter is charged like an amplitude. An
+angle needs several visits near it: the error of a single visit may have a cause of its own.
 
-Such an effect moves only a few visits. Sign flips are no null for it: with a dozen visits that are all far off, flipped
-signs reach sums as large as the observed one far too often. The null is therefore that the visits' errors are
+Such an effect moves only a few visits. Sign flips are no valid null for it: with a dozen visits that are all far off,
+flipped signs reach sums as large as the observed one far too often. The null is therefore that the visits' errors are
 exchangeable: each visit's error of a joint's angle, in standard deviations and clipped at three, is permuted at random
-among the visits. The maximum over all places of all joints follows Gumbel's law of extremes, fitted to the permutations
-by its mean and variance. The p-value of a candidate is that of this maximum. It counts as one more test in the
-dictionary of named effects. Sources: Fisher, The Design of Experiments, 1935, for the permutations; Gumbel, Statistics
+among the visits. The maximum over all angles of all joints follows Gumbel's law of extremes, fitted to the permutations
+by its mean and variance. The p-value of a candidate is that of this maximum. It counts as one more test among the named
+effects. Sources: Fisher, The Design of Experiments, 1935, for the permutations; Gumbel, Statistics
 of Extremes, 1958.
 """
 
@@ -41,30 +41,33 @@ from clampid.stages.stage_kind import kind_of
 
 __all__ = ["FEWEST_VISITS", "place_of", "scan"]
 
-FEWEST_VISITS = 4  # that show a bump: a height, a middle and a width, and one that may contradict them
-INSIDE = 0.1  # of its height, which a visit must see of a bump to count
-TABLE = 3600  # angles a turn at which a shape is tabulated
-# Standard deviations that a visit counts for in the null: three of which one is wrong are no bump.
+FEWEST_VISITS = 4  # near an angle: three determine height, middle and width of a bump, one more may contradict them
+MIN_SHARE_OF_HEIGHT = 0.1  # of a bump, at a visit that counts as near
+ANGLES_PER_TURN = 3600  # at which a shape is tabulated
+# Standard deviations at which visits are clipped in the null: one wrong visit of three must not look like a bump.
 LARGEST_RESIDUAL_IN_NULL = 3.0
-SCAN_STEP = 2.0 / 3.0  # of a shape's width at half of its height, from place to place: at most a tenth of it is missed
+SCAN_STEP = 2.0 / 3.0  # distance of the angles tried, in widths at half height: at most a tenth of the height is missed
 
 
 @dataclass(frozen=True)
 class _Tried:
-    """Every place of one joint.
+    """An effect at each of C angles of one joint.
 
     Attributes
     ----------
+    joint
+        From 0.
     shapes
-        Values of the effect's shapes at each.
+        Values of the effect's shape parameters, the angle among them (rad).
     explained
-        ``(C,)``: as of :class:`clampid.evidence.score.Scored`.
-    weight, says
-        ``(V, C)`` of unit length, and ``(V,)``: how much each visit sees of each place, and what it says of the joint's
-        angle, in standard deviations of what all visits say (by their median), at most
-        :data:`LARGEST_RESIDUAL_IN_NULL`.
+        ``(C,)``: sum of squares explained, in units of the residual's variance.
+    weight
+        ``(V, C)``, columns of unit length: the shape as each visit sees it.
+    visit_error
+        ``(V,)``: error of the joint's angle at each visit, in robust standard deviations over the visits (from their
+        median), clipped at :data:`LARGEST_RESIDUAL_IN_NULL`.
     levers
-        Whitened effect of the joint's angle.
+        Whitened derivatives by the joints' angles.
     """
 
     effect: Effect
@@ -72,30 +75,40 @@ class _Tried:
     shapes: tuple[Mapping[str, float], ...]
     explained: Array
     weight: sparse.csc_matrix
-    says: Array
+    visit_error: Array
     levers: Whitened
 
-    def statistic(self, says: Array) -> Array:
-        """What each place explains of that ``(..., V)``: ``(..., C)``, of mean one where nothing is there."""
-        return np.asarray(says @ self.weight) ** 2
+    def statistic(self, visit_error: Array) -> Array:
+        """What each angle explains of visit errors ``(..., V)``: ``(..., C)``, of mean 1 under the null."""
+        return np.asarray(visit_error @ self.weight) ** 2
 
 
 def scan(estimate: Estimate, space: Space, effects: Mapping[str, Effect], exchanges: int, seed: int) -> list[Scored]:
-    """Each scanned effect at the best place of each joint that lacks it; p-values are of all places of all joints."""
+    """Each scanned effect at the best angle of each joint that lacks it; p-values allow for all angles tried.
+
+    Parameters
+    ----------
+    estimate, space
+        A fit of poses, and its residual with the span that it absorbs.
+    effects
+        All known effects, by name.
+    exchanges, seed
+        Number of random permutations of the visits, and their seed.
+    """
     tried = _all_places(estimate, space, effects)
     if not tried:
         return []
     rng, maxima = np.random.default_rng(seed), np.zeros(exchanges)
     for t in tried:
-        order = np.argsort(rng.random((exchanges, len(t.says))), axis=1)
-        maxima = np.maximum(maxima, t.statistic(t.says[order]).max(axis=1))
+        order = np.argsort(rng.random((exchanges, len(t.visit_error))), axis=1)
+        maxima = np.maximum(maxima, t.statistic(t.visit_error[order]).max(axis=1))
     spread = max(float(np.std(maxima)) * np.sqrt(6.0) / np.pi, 1e-9)
     middle = float(np.mean(maxima)) - np.euler_gamma * spread
     found = []
     for t in tried:
         best = _refined(estimate, space, t)
         s = score(space, [best])[0]
-        off = (float(t.statistic(t.says).max()) - middle) / spread
+        off = (float(t.statistic(t.visit_error).max()) - middle) / spread
         log_p = float(np.log(-np.expm1(-np.exp(-off)))) if off < 30.0 else -off
         chosen = len(best.shapes) * float(np.log(max(space.rows, 2)))
         found.append(replace(s, log_p=min(log_p, 0.0), cost=s.cost + chosen, bic=s.bic - chosen))
@@ -103,7 +116,7 @@ def scan(estimate: Estimate, space: Space, effects: Mapping[str, Effect], exchan
 
 
 def place_of(estimate: Estimate, effect: Effect, place: str) -> dict[Slot, float]:
-    """Shapes of an absent effect at the likeliest place of a joint; empty where no place shows it."""
+    """Shape parameters of an absent effect at the likeliest angle of joint ``place``; empty if no angle shows it."""
     space = space_of(estimate)
     tried = _all_places(estimate, space, {effect.name: effect}, (place,))
     return dict(_refined(estimate, space, tried[0]).shapes) if tried else {}
@@ -112,7 +125,7 @@ def place_of(estimate: Estimate, effect: Effect, place: str) -> dict[Slot, float
 def _all_places(
     estimate: Estimate, space: Space, effects: Mapping[str, Effect], only: Iterable[str] | None = None
 ) -> list[_Tried]:
-    """Every place of every joint at which a scanned effect is not active."""
+    """The scanned effects at every angle of every joint where they are not active, or of the joints ``only``."""
     rows, stage = estimate.problem.rows, estimate.problem.stage
     wanted = [e for e in effects.values() if e.scanned is not None and kind_of(stage).has(e)]
     if not kind_of(stage).points or not wanted:
@@ -136,10 +149,10 @@ def _all_places(
 
 
 def _tables(effect: Effect) -> list[tuple[Mapping[str, float], Array]]:
-    """What a unit of the amplitude is over a turn ``(TABLE,)`` from its middle on, by values of the other shapes."""
+    """Each combination of shapes with the deviation ``(ANGLES_PER_TURN,)`` by a unit amplitude, from the middle on."""
     shapes = [p for p in effect.parameters if p.shape and p.name != effect.scanned]
     amplitude = next(p for p in effect.parameters if not p.shape)
-    angle = ca.DM(np.arange(TABLE) * 2.0 * np.pi / TABLE)
+    angle = ca.DM(np.arange(ANGLES_PER_TURN) * 2.0 * np.pi / ANGLES_PER_TURN)
     out: list[tuple[Mapping[str, float], Array]] = []
     for values in product(*(p.grid for p in shapes)):
         chosen = dict(zip((p.name for p in shapes), values, strict=True))
@@ -157,9 +170,9 @@ def _places(
     levers: Whitened,
     tables: list[tuple[Mapping[str, float], Array]],
 ) -> _Tried | None:
-    """All places of one joint; None where no pose shows any."""
+    """An effect at all angles of one joint; None if no pose shows it at any."""
     rows = estimate.problem.rows
-    at = np.rint(np.mod(rows.signals["q"][:, j], 2.0 * np.pi) * TABLE / (2.0 * np.pi)).astype(np.int64)
+    at = np.rint(np.mod(rows.signals["q"][:, j], 2.0 * np.pi) * ANGLES_PER_TURN / (2.0 * np.pi)).astype(np.int64)
     lever = levers.jacobian[:, j]
     seen = np.zeros(len(rows), dtype=bool)
     seen[levers.entry[lever != 0.0]] = True
@@ -168,13 +181,13 @@ def _places(
     functions = []
     for chosen, table in tables:
         size = np.abs(table) / np.abs(table).max()
-        inside = size > INSIDE
-        for k in range(0, TABLE, max(1, int(SCAN_STEP * np.count_nonzero(size > 0.5)))):
-            near = seen & inside[(at - k) % TABLE]
+        inside = size > MIN_SHARE_OF_HEIGHT
+        for k in range(0, ANGLES_PER_TURN, max(1, int(SCAN_STEP * np.count_nonzero(size > 0.5)))):
+            near = seen & inside[(at - k) % ANGLES_PER_TURN]
             if len(np.unique(visit[near])) >= FEWEST_VISITS:
-                middle = float(np.remainder(2.0 * np.pi * k / TABLE + np.pi, 2.0 * np.pi) - np.pi)
+                middle = float(np.remainder(2.0 * np.pi * k / ANGLES_PER_TURN + np.pi, 2.0 * np.pi) - np.pi)
                 shapes.append({str(effect.scanned): middle, **chosen})
-                functions.append(table[(at - k) % TABLE])
+                functions.append(table[(at - k) % ANGLES_PER_TURN])
     if not shapes:
         return None
     D = (sparse.diags(lever) @ sparse.csr_matrix(np.array(functions).T)[levers.entry]).tocsc()
@@ -185,27 +198,29 @@ def _places(
     if not len(able):
         return None
     explained = np.asarray(D[:, able].T @ space.residual[: space.rows]) ** 2 / (space.scale**2 * left[able])
-    weight, says = _by_visit(space, visit[levers.entry], lever, D[:, able])
-    return _Tried(effect, j, tuple(shapes[k] for k in able), explained, weight, says, levers)
+    weight, visit_error = _by_visit(space, visit[levers.entry], lever, D[:, able])
+    return _Tried(effect, j, tuple(shapes[k] for k in able), explained, weight, visit_error, levers)
 
 
 def _by_visit(space: Space, visit: Integers, lever: Array, D: sparse.csc_matrix) -> tuple[sparse.csc_matrix, Array]:
-    """Of the visits that see a joint's angle, the weights and what they say, as :class:`_Tried` has them."""
+    """Weights ``(V, C)`` and errors ``(V,)`` of the visits that see a joint's angle, as :class:`_Tried` has them."""
     count = int(visit.max(initial=-1)) + 1
     sees = np.sqrt(np.bincount(visit, lever**2, minlength=count))
     able = sees > 1e-9 * sees.max(initial=0.0)
-    says = np.bincount(visit, lever * space.residual[: space.rows], minlength=count)[able] / sees[able]
-    says = np.clip(
-        says / max(NORMAL * float(np.median(np.abs(says))), 1e-300), -LARGEST_RESIDUAL_IN_NULL, LARGEST_RESIDUAL_IN_NULL
+    visit_error = np.bincount(visit, lever * space.residual[: space.rows], minlength=count)[able] / sees[able]
+    visit_error = np.clip(
+        visit_error / max(NORMAL * float(np.median(np.abs(visit_error))), 1e-300),
+        -LARGEST_RESIDUAL_IN_NULL,
+        LARGEST_RESIDUAL_IN_NULL,
     )
     member = sparse.csr_matrix((lever, (visit, np.arange(len(visit)))), shape=(count, len(visit)))
     weight = sparse.diags(1.0 / sees[able]) @ (member @ D)[able]
     length = np.sqrt(np.asarray(weight.multiply(weight).sum(axis=0)).ravel())
-    return (weight @ sparse.diags(1.0 / np.maximum(length, 1e-300))).tocsc(), says
+    return (weight @ sparse.diags(1.0 / np.maximum(length, 1e-300))).tocsc(), visit_error
 
 
 def _refined(estimate: Estimate, space: Space, tried: _Tried) -> Candidate:
-    """The best place with the shapes, between those tried, at which it explains most; bounds of shapes hold."""
+    """The candidate with the shapes, within their bounds, that explain most, searched from the best angle tried."""
     at = dict(tried.shapes[int(np.argmax(tried.explained))])
     bounds = {name: tried.effect.by_name[name].bounds for name in at}
     step = {name: 0.25 * tried.effect.by_name[name].size for name in at} | {str(tried.effect.scanned): 0.02}
@@ -215,7 +230,7 @@ def _refined(estimate: Estimate, space: Space, tried: _Tried) -> Candidate:
         if any(not bounds[name][0] <= value <= bounds[name][1] for name, value in shapes.items()):
             return 0.0
         c = _column(estimate, tried, shapes)
-        some = np.flatnonzero(c)  # a few visits
+        some = np.flatnonzero(c)  # the entries of a few visits
         own = c[some] @ space.basis[some]
         left = float(c @ c - own @ own)
         return -(float(c[some] @ space.residual[some]) ** 2) / left if left > WEAK_BELOW * float(c @ c) > 0.0 else 0.0
@@ -229,7 +244,7 @@ def _refined(estimate: Estimate, space: Space, tried: _Tried) -> Candidate:
 
 
 def _column(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -> Array:
-    """The whitened column ``(M,)`` of a joint's effect with some shapes."""
+    """The whitened column ``(M,)`` of a joint's effect with the given shape parameters."""
     q = ca.DM(estimate.problem.rows.signals["q"][:, tried.joint])
     amplitude = next(p.name for p in tried.effect.parameters if not p.shape)
     p: Any = SimpleNamespace(**{amplitude: 1.0, **shapes})
@@ -238,7 +253,7 @@ def _column(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -> A
 
 
 def _candidate(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -> Candidate:
-    """A joint's effect with some shapes as a candidate."""
+    """A joint's effect with the given shape parameters as a candidate."""
     effect, place, white = tried.effect, f"joint{tried.joint + 1}", estimate.whitened
     amplitude = next(p for p in effect.parameters if not p.shape)
     slot = Slot(effect.name, amplitude.name, place)

@@ -1,14 +1,18 @@
-"""The score test: what candidates explain of a residual, beyond what the active parameters could still absorb.
+"""The score test: how much of a residual a candidate explains that the active parameters cannot absorb.
 
-Residual and columns are whitened; the columns are projected off the span of the active parameters' Jacobian (prior rows
-included), so that what the model could take up is not evidence. No candidate is refitted. The null is a sign flip of
-the residual by pose or block: the maximum of -ln p over the whole dictionary (Westfall-Young) controls false alarms
-over everything that was looked at. So that one candidate's p means what another's does, each is read off the moments
-that its own flips have: entries of a unit share noise that the scale of single entries does not know, and of a
-candidate with hundreds of columns plain chi-square tails are then so far off that its flips alone would set the
-maximum. What a prior says has no unknown scale: its pseudo-rows are normal with the variance that it states, and in the
-null they are drawn, not flipped: a pull of eight standard deviations on one of them stays as large however it is
-flipped. With Z = (1 - QQ')D only products such as Z'Z = D'D - (Q'D)'(Q'D) are ever formed.
+Residual and columns are whitened. The columns D are projected off the span Q of the active parameters' Jacobian, prior
+rows included, because what the model could absorb is not evidence. No candidate is refitted.
+
+The null distribution comes from sign flips of the residual by unit: a pose, or a block of a log. The maximum of -ln p
+over all candidates (Westfall-Young) controls false alarms over everything tested. p-values of different candidates must
+be comparable. Each is therefore computed from the mean and variance of the candidate's own statistic under flips.
+(Entries of a unit share noise. With plain chi-square tails, candidates with hundreds of columns would get far too small
+p-values, and would alone set the maximum.)
+
+The pseudo-rows of a prior have a known variance. In the null they are drawn from the normal distribution, not flipped:
+a pull of eight standard deviations on a prior keeps its size under any flip.
+
+With Z = (1 - QQ')D only products such as Z'Z = D'D - (Q'D)'(Q'D) are formed.
 """
 
 from __future__ import annotations
@@ -40,15 +44,15 @@ __all__ = [
 ]
 
 
-WEAK_BELOW = 0.05
-LEAST_SHARE_OF_PRIOR = 1e-3  # of a parameter's prior information: what the rows say less about is not worth a direction
-SHORTEST_COLUMN = 1e-100  # of whitened columns: the inverse square of less is no number
-UNSEEN = 1e-6
-"""Of the noise: what moves all rows together by less, at the parameter's plausible size, is rounding and no lever.
+WEAK_BELOW = 0.05  # share of a candidate's columns that the fit cannot absorb: with less, its test is weak
+LEAST_SHARE_OF_PRIOR = 1e-3  # information of the rows over that of the prior: directions with less are left out
+SHORTEST_COLUMN = 1e-100  # length of a whitened column: the inverse square of less overflows
+NEGLIGIBLE_EFFECT = 1e-6
+"""Length of a column for a parameter of reasonable size, over the noise: a smaller one is rounding error.
 
 The weight of an upright arm turns no joint with a vertical axis: its torque comes out as 1e-16 Nm.
 """
-COLUMNS_AT_ONCE = 512  # columns of candidates that are scored together: more would gain no time, and take memory
+COLUMNS_AT_ONCE = 512  # columns of candidates that are scored together: more saves no time and needs more memory
 SMALLEST_TAIL = 1e-290  # a smaller tail than this may have underflowed
 
 
@@ -61,36 +65,36 @@ class Scored:
     absorbed
         ``(r, k)``: Q'D.
     weights
-        ``(k, f)``: Z times these is orthonormal.
+        ``(k, f)``: the columns of Z times these weights are orthonormal: f directions.
     parts
-        ``(U, f)``: what each unit adds in the null to the residual's components in these directions: of rows what it
-        would have added before the fit took its share, with a sign that flips turn; of a prior's pseudo-row what one
-        standard deviation of it would.
+        ``(U, f)``: share of each unit in the residual's components along these directions, under the null. For units of
+        rows: corrected for the share of noise that the fit absorbed; flips change its sign. For a prior's pseudo-row:
+        one standard deviation of it.
     amplitude
-        ``(f,)``: these components.
+        ``(f,)``: components of the residual along these directions.
     kept
-        ``(f,)``: the share of each that its prior lets it take, 1 without a prior.
+        ``(f,)``: share of each component that remains after shrinkage by the candidate's prior; 1 without a prior.
     cost
-        Penalty for its degrees of freedom: explained less cost is twice the logarithm of its Bayes factor: with a
-        prior, the logarithm of how much the rows narrow it (where its sizes are open, of the one with the largest
-        factor); else f ln(rows) (Schwarz), as if the rows determined each parameter as well as they can. A named effect
-        that the rows determine less well is charged at most the mean over all sizes that its parameters may have
-        (`clampid.evidence.of_size.of_any_size`).
+        Penalty for the degrees of freedom; ``explained - cost`` is twice the logarithm of the Bayes factor. With a
+        prior: the logarithm of how much the rows narrow it, for the size with the largest Bayes factor. Without one:
+        f ln(rows) (Schwarz), which assumes that the rows determine each parameter well. A named effect is charged at
+        most the average over all sizes that its parameters may have (`clampid.evidence.of_size.of_any_size`), which is
+        less if the rows determine it badly.
     explained
         Sum of squares that it explains, in units of the residual's variance.
     log_p
-        Natural logarithm of the p-value by the moments of its flips.
+        Natural logarithm of the p-value, from the moments of its statistic under flips.
     bic
-        Explained less cost; the larger the better.
+        ``explained - cost``; the larger the better.
     retained
         Share of the columns that the active parameters cannot absorb.
     state
-        ``absent``, ``absorbed``, ``weak``, ``testable``, or ``implausible``: of a size or sign that cannot be.
+        ``absent`` (no effect on these rows), ``absorbed``, ``weak``, ``testable``, or ``implausible`` (a size or sign
+        that is not possible).
     assumed
-        Share of what it explains that is how far the fit was pulled off what the prior says, and not in the rows.
+        Share of ``explained`` that comes from the pull of the fit on its prior, not from the rows.
     unit_limit
-        ``(k,)``: the residual's scale, as the candidate's flips have it, over each projected column's length,
-        parameter units.
+        ``(k,)``: standard error of each parameter if fitted alone, noise shared within units included; parameter units.
     """
 
     candidate: Candidate
@@ -110,7 +114,7 @@ class Scored:
 
     @property
     def remembered(self) -> Scored:
-        """The same without its parts, once the null has been drawn."""
+        """The same without ``parts``, which are not needed after the null has been drawn."""
         return replace(self, parts=self.parts[:0].copy())
 
     @property
@@ -119,37 +123,54 @@ class Scored:
         return int(self.weights.shape[1])
 
     def directions(self, columns: Array, basis: Array) -> Array:
-        """Its orthonormal directions ``(M, f)``.
+        """The candidate's orthonormal directions ``(M, f)``.
 
         Parameters
         ----------
         columns, basis
-            Its whitened columns ``(M, k)``, and the basis ``(M, r)`` of what the fit absorbs.
+            The candidate's whitened columns ``(M, k)``, and the basis ``(M, r)`` of what the fit absorbs.
         """
         return np.asarray((columns - basis @ self.absorbed) @ self.weights)
 
     @property
     def value(self) -> Array:
-        """One step from zero ``(k,)``: what the score makes of the parameters, SI."""
+        """Estimate of the parameters ``(k,)`` by one linear step from zero, SI."""
         return np.asarray(self.weights @ (self.kept * self.amplitude))
 
     @property
     def spread(self) -> Array:
-        """What a unit of the residual's scale moves :attr:`value` by ``(k,)``, SI."""
+        """Standard error of :attr:`value` ``(k,)`` for a residual of unit scale, SI."""
         return np.asarray(np.sqrt(np.sum((self.weights * self.kept) ** 2, axis=1)))
 
 
 def explained_by(s: Scored, amplitude: Array, scale: float) -> Array:
-    """The sum of squares that amplitudes ``(..., f)`` in a candidate's directions explain, in units of variance."""
+    """Sum of squares ``(...)`` explained by components ``(..., f)`` along a candidate's directions, over the variance.
+
+    Parameters
+    ----------
+    s
+        The candidate.
+    amplitude
+        Components of a residual along its directions.
+    scale
+        Standard deviation of the residual.
+    """
     return np.asarray(np.sum(s.kept * amplitude**2, axis=-1) / scale**2)
 
 
 def flip_moments(parts: Array, kept: Array, scale: float, drawn: Bools) -> tuple[float, float]:
-    """Mean and variance of what a candidate explains over all sign flips of the units, and draws of those ``drawn``.
+    """Mean and variance under the null of what a candidate explains.
 
-    With p_u a unit's part, the sum over directions of k (sum_u s_u p_u)^2 has the mean sum_u p_u' K p_u and the
-    variance 2 (|B|^2 - sum_u (p_u' K p_u)^2), B the sum of K^1/2 p_u p_u' K^1/2, the last sum over units whose s_u is a
-    sign (its square never varies) and not a normal number. No flip changes either.
+    Let p_u be the part of unit u, s_u its random factor, and K = diag(kept). The statistic (sum_u s_u p_u)' K (sum_u
+    s_u p_u) has the mean sum_u p_u' K p_u and the variance 2 (|B|^2 - sum_u (p_u' K p_u)^2) with B = sum_u K^1/2 p_u
+    p_u' K^1/2. The last sum is over units with a random sign only, whose square is constant.
+
+    Parameters
+    ----------
+    parts, kept, scale
+        As :class:`Scored` has them, and the standard deviation of the residual.
+    drawn
+        ``(U,)``: units whose factor is a standard normal number instead of a sign.
     """
     weighted = parts * (np.sqrt(kept) / scale)
     gram = weighted.T @ weighted
@@ -158,21 +179,21 @@ def flip_moments(parts: Array, kept: Array, scale: float, drawn: Bools) -> tuple
 
 
 def tail_of(moments: tuple[float, float], explained: Array | float) -> Array:
-    """Natural logarithm of the chance to explain so much where nothing is missing, given its mean and variance.
+    """Natural logarithm of the p-value of ``explained``, given its mean and variance under the null.
 
-    By the multiple of a chi-square with these moments. Source: Satterthwaite, An approximate distribution of estimates
-    of variance components, Biometrics Bulletin 2, 1946.
+    A scaled chi-square distribution with these moments is used. Source: Satterthwaite, An approximate distribution of
+    estimates of variance components, Biometrics Bulletin 2, 1946.
     """
     mean, variance = moments
-    if variance <= 1e-9 * mean**2:  # one unit holds it all: no flip changes anything
+    if variance <= 1e-9 * mean**2:  # all of it lies in one unit: flips change nothing, so the p-value is 1
         return np.zeros_like(np.asarray(explained, dtype=float))
     return log_tail(np.asarray(explained) * (2.0 * mean / variance), 2.0 * mean**2 / variance)
 
 
 def log_tail(x: Array | float, freedom: float) -> Array:
-    """Natural logarithm of the chi-square tail, also where the tail itself is too small for a number."""
+    """Natural logarithm of the upper chi-square tail probability of ``x``, also where that underflows."""
     value = np.asarray(x, dtype=float)
-    a, half = freedom / 2.0, np.maximum(value, 1e-300) / 2.0  # of zero there is no logarithm
+    a, half = freedom / 2.0, np.maximum(value, 1e-300) / 2.0  # zero has no logarithm
     tail = gammaincc(a, half)
     tiny = tail < SMALLEST_TAIL
     tail_or_one = np.where(tiny, 1.0, tail)
@@ -183,7 +204,7 @@ def log_tail(x: Array | float, freedom: float) -> Array:
 
 
 def score(space: Space, candidates: Sequence[Candidate]) -> list[Scored]:
-    """Score every candidate; those without any effect on these rows come back as ``absent``."""
+    """Score every candidate, in the given order; those without any effect on these rows have the state ``absent``."""
     if not candidates:
         return []
     joined = Joined([c.columns for c in candidates])
@@ -196,7 +217,14 @@ def score(space: Space, candidates: Sequence[Candidate]) -> list[Scored]:
 
 
 def _score_one(space: Space, c: Candidate, lines: Array, by_unit: Array) -> Scored:
-    """Score one, of which the products with the basis ``(k, r)`` and each unit's shares ``(k, U)`` are known."""
+    """Score one candidate.
+
+    Parameters
+    ----------
+    lines, by_unit
+        Products of its columns with the basis ``(k, r)``, and each unit's share in their products with the residual
+        ``(k, U)``.
+    """
     k = c.columns.width
     gram = c.columns.gram()
     length = np.sqrt(np.diag(gram))
@@ -206,7 +234,7 @@ def _score_one(space: Space, c: Candidate, lines: Array, by_unit: Array) -> Scor
     unit_limit = np.where(left > 0, space.scale / np.where(left > 0, left, 1.0), np.inf)
     seen = length > SHORTEST_COLUMN
     if c.reasonable is not None:
-        seen &= length * c.reasonable > UNSEEN * space.scale
+        seen &= length * c.reasonable > NEGLIGIBLE_EFFECT * space.scale
     none = np.zeros((k, 0))
 
     def nothing(retained: float, state: str) -> Scored:
@@ -215,8 +243,8 @@ def _score_one(space: Space, c: Candidate, lines: Array, by_unit: Array) -> Scor
 
     if not seen.any():
         return nothing(0.0, "absent")
-    # Columns of unit length before the projection: a direction that keeps less than a millionth of itself is absorbed.
-    # With a prior, columns in units of it over the residual's scale: values are the rows' information over the prior's.
+    # Columns are scaled to unit length before the projection: a direction that keeps less than a millionth is absorbed.
+    # With a prior they are scaled by it: the eigenvalues are then the rows' information over the prior's.
     inverse = np.where(seen, 1.0 / np.where(seen, length, 1.0), 0.0)
     retained = float(np.clip(np.sum(left[seen] ** 2 * inverse[seen] ** 2) / np.count_nonzero(seen), 0.0, 1.0))
     least = ABSORBED
@@ -228,9 +256,9 @@ def _score_one(space: Space, c: Candidate, lines: Array, by_unit: Array) -> Scor
         return nothing(retained, "absorbed")
     values = values[keep]
     weights = inverse[:, None] * vectors[:, keep] / np.sqrt(values)
-    amplitude = c.columns.times(space.residual) @ weights  # the residual is off the basis
+    amplitude = c.columns.times(space.residual) @ weights  # the residual is orthogonal to the basis
     parts = by_unit.T @ weights
-    # Of a candidate's own columns pseudo-rows have none.
+    # A candidate's columns are zero in the pseudo-rows: only their projection counts there.
     parts[space.drawn] = -(space.pseudo_std[:, None] * space.basis[space.rows :]) @ absorbed @ weights
     kept, cost, size = np.ones(len(values)), len(values) * float(np.log(max(space.rows, 2))), 1.0
     if c.prior is not None:
@@ -252,7 +280,7 @@ def _score_one(space: Space, c: Candidate, lines: Array, by_unit: Array) -> Scor
         kept=kept,
         cost=cost,
         explained=explained,
-        log_p=min(float(tail_of(moments, explained)) + float(np.log(len(c.sizes))), 0.0),  # Bonferroni's
+        log_p=min(float(tail_of(moments, explained)) + float(np.log(len(c.sizes))), 0.0),  # Bonferroni over the sizes
         bic=explained - cost,
         retained=retained,
         state="weak" if retained < WEAK_BELOW else "testable",
@@ -264,12 +292,12 @@ def _score_one(space: Space, c: Candidate, lines: Array, by_unit: Array) -> Scor
 
 
 def _charge(reach: Array, amplitude: Array, space: Space) -> float:
-    """What a candidate's freedom costs: what it explains, less twice the logarithm of its evidence at any size.
+    """Cost of a candidate's degrees of freedom: what it explains, less twice its log evidence averaged over sizes.
 
     Parameters
     ----------
     reach
-        ``(k, f)``: what a reasonable size of each parameter moves the residual along the directions of ``amplitude``.
+        ``(k, f)``: effect of each parameter, at its reasonable size, on the components ``amplitude`` of the residual.
     """
     _, gain, turn = np.linalg.svd(reach / space.scale, full_matrices=False)
     component = turn @ amplitude / space.scale
@@ -285,8 +313,8 @@ def _overlap(a: Scored, b: Scored) -> Array:
 def canonical(a: Scored, b: Scored) -> float:
     """Largest squared canonical correlation of two candidates, 0 to 1.
 
-    Of a candidate with a prior, which can follow nearly everything, the share of what it found here that the other
-    could have found.
+    A candidate with a prior can follow nearly everything. For it, the result is the share of its estimate on these rows
+    that the other candidate can follow.
     """
     if not a.freedom or not b.freedom:
         return 0.0
@@ -299,7 +327,7 @@ def canonical(a: Scored, b: Scored) -> float:
 
 
 def explained_together(space: Space, a: Scored, b: Scored) -> float:
-    """What two candidates explain together, in units of the residual's variance."""
+    """Sum of squares that two candidates explain together, in units of the residual's variance."""
     cross = _overlap(a, b)
     amplitude = np.r_[a.amplitude, b.amplitude]
     gram = np.block([[np.diag(1.0 / a.kept), cross], [cross.T, np.diag(1.0 / b.kept)]])
@@ -308,26 +336,36 @@ def explained_together(space: Space, a: Scored, b: Scored) -> float:
 
 @dataclass(frozen=True)
 class Flips:
-    """Maxima of -ln p over a dictionary for sign-flipped residuals ``(flips,)``."""
+    """The null distribution of the smallest p-value: maxima ``(flips,)`` of -ln p over all candidates."""
 
     maxima: Array
 
     def p_familywise(self, log_p: float) -> float:
-        """Chance of as small a p-value anywhere in the dictionary if nothing is missing; at least 1/(flips + 1)."""
+        """Familywise p-value: chance of so small a p-value of any candidate under the null; at least 1/(flips + 1)."""
         return float((1 + np.sum(self.maxima >= -log_p)) / (len(self.maxima) + 1))
 
     def critical_log_p(self, rate: float) -> float:
-        """The ln p that a candidate must undercut to be confirmed at this false-alarm rate."""
+        """The ln p below which a candidate is significant at this familywise false-alarm rate."""
         return -float(np.quantile(self.maxima, 1 - rate))
 
     def joined(self, tests: int, seed: int) -> Flips:
-        """The same with further tests in the dictionary that have p-values of their own: -ln p is exponential."""
+        """The same with further tests that have p-values of their own: under the null, -ln p is exponential."""
         drawn = np.random.default_rng([seed, tests]).exponential(size=(len(self.maxima), tests))
         return Flips(np.maximum(self.maxima, drawn.max(axis=1, initial=0.0)))
 
 
 def flip_maxima(space: Space, scored: Sequence[Scored], flips: int, seed: int) -> Flips:
-    """Sign-flip null over a dictionary, with draws of what a prior says: one matrix product."""
+    """The null distribution over scored candidates, by sign flips of units and normal draws of prior pseudo-rows.
+
+    Parameters
+    ----------
+    space
+        The residual on which the candidates were scored.
+    scored
+        The candidates, with their ``parts``.
+    flips, seed
+        Number of random flips, and their seed.
+    """
     chosen = [s for s in scored if s.freedom]
     if not chosen:
         return Flips(np.zeros(flips))

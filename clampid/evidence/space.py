@@ -16,10 +16,10 @@ from clampid.stages.rows import Array, Bools, Integers
 
 __all__ = ["ABSORBED", "Space", "space_of"]
 
-ABSORBED = 1e-6
-OPEN_VARIANCE_RATIO = 4.0  # an error twice as large as the prior: it was fixed, and is open
-SMALLEST = 1e-3  # share of a unit's noise that a fit leaves: of less, rounding alone would be flipped
-ORTHOGONAL = 1e-3  # how near to the identity the second factor must be, for its columns to be exact
+ABSORBED = 1e-6  # squared share of a direction that is left after projection: with less, it is absorbed
+OPEN_VARIANCE_RATIO = 4.0  # a parameter whose standard error is twice its fixing prior was fixed by the fit itself
+SMALLEST_NOISE_LEFT = 1e-3  # share of a unit's noise that a fit leaves: less is rounding error and is not corrected
+ORTHOGONAL = 1e-3  # how near the second Cholesky factor must be to the identity for an orthonormal basis
 
 
 @dataclass(frozen=True)
@@ -29,15 +29,17 @@ class Space:
     Attributes
     ----------
     residual
-        ``(M + p,)``: rows, then the prior's pseudo-rows; orthogonal to ``basis``.
+        ``(M + p,)``: entries of the rows, then the prior's pseudo-rows; orthogonal to ``basis``.
     basis
         ``(M + p, r)``: orthonormal.
     unit
         ``(M + p,)``: entries with the same number are flipped together.
     scale
         Standard deviation of the residual, about 1.
+    freedom
+        Degrees of freedom of the residual.
     rows
-        M.
+        M, the number of entries of the rows.
     pseudo_std
         ``(p,)``: standard deviations of the pseudo-rows, 1, or 0 where the prior is too weak to be a measurement.
     """
@@ -51,7 +53,7 @@ class Space:
     pseudo_std: Array
 
     def granting(self, columns: Array) -> Space:
-        """The same with whitened columns ``(M, k)`` that are granted to the model: what they explain is no evidence."""
+        """The same with further whitened columns ``(M, k)`` in the span that the model can absorb."""
         if not columns.shape[1]:
             return self
         further = np.zeros((len(self.residual), columns.shape[1]))
@@ -68,59 +70,67 @@ class Space:
 
     @property
     def remembered(self) -> Space:
-        """What a verdict needs of it later: not the basis, which is as large as the rows and all that is active."""
-        # Copies: a slice of nothing would keep what it was cut from.
+        """The same without its large arrays: scale and degrees of freedom, which a verdict needs later."""
+        # Copies: an empty slice would keep the whole array in memory.
         nothing = self.residual[:0].copy(), self.basis[:0].copy(), self.unit[:0].copy()
         return replace(self, residual=nothing[0], basis=nothing[1], unit=nothing[2])
 
     @cached_property
     def by_unit(self) -> Sums:
-        """Each unit's share of a column's product with the residual of the null, U units.
+        """Sums that give each of U units' share in a column's product with the residual, under the null.
 
-        A fit takes out of each unit's noise what its leverage lets it, so that plain residuals flipped are too small:
-        of a hundred poses and seventy parameters by an eighth, which makes hundreds of columns explain "too much".
-        Each unit's residual is therefore multiplied by (1 - Q_u Q_u')^(-1/2), which undoes that in the mean. Source:
-        Bell and McCaffrey, Bias reduction in standard errors for linear regression with multi-stage samples, Survey
-        Methodology 28, 2002 (CR2).
+        A fit absorbs part of each unit's noise, according to its leverage. Flipped residuals are therefore too small:
+        by an eighth for a hundred poses and seventy parameters, so that candidates with hundreds of columns seem
+        significant. Each unit's residual is multiplied by (1 - Q_u Q_u')^(-1/2), which corrects this on average.
+        Source: Bell and McCaffrey, Bias reduction in standard errors for linear regression with multi-stage samples,
+        Survey Methodology 28, 2002 (CR2).
         """
         _, unit = np.unique(self.unit, return_inverse=True)
         return Sums.of(unit, unshrunk(self.residual, self.basis, unit))
 
     @cached_property
     def basis_by_unit(self) -> Array:
-        """``(U, r)``: the same of the basis."""
+        """``(U, r)``: each unit's share in the products of the basis with the residual, under the null."""
         return np.asarray(self.by_unit.over(0, len(self.basis)) @ self.basis)
 
     @cached_property
     def drawn(self) -> Bools:
-        """``(U,)``: which units are a prior's pseudo-rows, each one of its own, after those of rows."""
+        """``(U,)``: which units are pseudo-rows of the prior; each is a unit of its own, after the units of rows."""
         return np.arange(self.by_unit.groups) >= self.by_unit.groups - (len(self.residual) - self.rows)
 
 
 def unshrunk(residual: Array, basis: Array, unit: Integers) -> Array:
-    """The residual ``(M,)`` of each unit as large as its noise was before a fit with that basis took its share."""
+    """The residual ``(M,)`` of each unit, corrected for the share of its noise that a fit with that basis absorbed."""
     out = residual.copy()
     order = np.argsort(unit, kind="stable")
     for entries in np.split(order, np.flatnonzero(np.diff(unit[order])) + 1):
         Q_u = basis[entries]
         left, size, _ = np.linalg.svd(Q_u, full_matrices=False)
-        share = np.minimum(size**2, 1.0 - SMALLEST)
+        share = np.minimum(size**2, 1.0 - SMALLEST_NOISE_LEFT)
         out[entries] += left @ ((1.0 / np.sqrt(1.0 - share) - 1.0) * (left.T @ residual[entries]))
     return out
 
 
 def space_of(estimate: Estimate, unit: Integers | None = None) -> Space:
-    """The residual and absorbed span of an estimate; ``unit`` ``(N,)``: what the null flips, else the rows' own."""
+    """The residual of an estimate and the span that it absorbs.
+
+    Parameters
+    ----------
+    estimate
+        The fit.
+    unit
+        ``(N,)``: rows with the same number are flipped together; by default those of ``rows.unit``.
+    """
     white = estimate.whitened
     size = estimate.problem.sizes()
     precision = _opened(estimate)
     values, vectors = np.linalg.eigh(precision * np.outer(size, size))
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).T / size  # root' root = precision
-    # A weak prior is no measurement: a tool mounted half a turn from where the description has it is no residual.
+    # A weak prior is no measurement: a tool mounted half a turn from its description is no evidence.
     weak = 1.0 / np.sqrt(np.diag(precision)) >= (1.0 - 1e-9) * WEAK_PRIOR * size
     residual = np.r_[white.residual, root @ np.where(weak, 0.0, estimate.prior_mean - estimate.theta)]
     jacobian = np.vstack([white.jacobian, root])
-    norms = np.sqrt(np.einsum("mp,mp->p", jacobian, jacobian))  # without a table of squares
+    norms = np.sqrt(np.einsum("mp,mp->p", jacobian, jacobian))  # needs no table of squares
     jacobian /= np.where(norms > 0, norms, 1.0)
     basis = _span(jacobian)
     del jacobian
@@ -135,11 +145,11 @@ def space_of(estimate: Estimate, unit: Integers | None = None) -> Space:
 
 
 def _span(A: Array) -> Array:
-    """An orthonormal basis ``(M, k)`` of the columns, of length one or zero, of ``A`` ``(M, P)``.
+    """An orthonormal basis ``(M, k)`` of the columns of ``A`` ``(M, P)``, which have length one or zero.
 
-    By Cholesky factors, twice, where the columns are independent enough for it: a fifth of the work where they are
-    many. Source: Yamamoto, Nakatsukasa, Yanagisawa, Fukaya, Roundoff error analysis of the CholeskyQR2 algorithm,
-    Electron. Trans. Numer. Anal. 44, 2015. Else by pivots.
+    By CholeskyQR2 where the columns are independent enough: a fifth of the work for many columns. Else by pivoted QR.
+    Source: Yamamoto, Nakatsukasa, Yanagisawa, Fukaya, Roundoff error analysis of the CholeskyQR2 algorithm, Electron.
+    Trans. Numer. Anal. 44, 2015.
     """
     Q = A
     try:
@@ -156,10 +166,10 @@ def _span(A: Array) -> Array:
 
 
 def _opened(estimate: Estimate) -> Array:
-    """The prior's precision ``(P, P)``, of what a fit has fixed that of its error instead.
+    """The prior's precision ``(P, P)``; where the fit fixed a value, its standard error replaces the fixing prior.
 
-    A friction is fixed where flanks determine it (:mod:`clampid.fitting.rest_friction`), and may be anything within its
-    error: what it would explain then is no evidence of anything else.
+    A dry friction is fixed where flanks determine it (:mod:`clampid.fitting.rest_friction`). It may still be wrong by
+    its standard error, and what it then explains is no evidence for another effect.
     """
     precision = estimate.prior_precision.copy()
     variance, tight = np.diag(estimate.covariance), (FIXED_STD * estimate.problem.sizes()) ** -2.0

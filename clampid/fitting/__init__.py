@@ -1,1 +1,1 @@
-"""The fit of one stage: noise, least squares, the flanks on which gears rest, and friction that flanks alone show."""
+"""The fit of one stage: noise, least squares, the gear flanks in contact, and dry friction identified by flanks."""

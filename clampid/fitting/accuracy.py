@@ -1,4 +1,4 @@
-"""How far model and measurement are apart, on fitted and on held-out rows, and how far noise alone would put them."""
+"""Errors of a fitted model on fitted and held-out rows, and the noise floor: the error that noise alone would leave."""
 
 from __future__ import annotations
 
@@ -29,27 +29,29 @@ __all__ = [
 ]
 
 FOLDS = 5
-QUIET_S = 3.0  # s: a log's noise is mostly forgotten after this long, and what varies with posture is still smooth
-FEWEST_TRIPLES = 20  # of rows, from which noise is estimated
-QUIET_ROWS = 6  # the same for sweeps of single steps
+QUIET_S = 3.0  # s: a log's noise is nearly uncorrelated over this time, and what varies with posture is still smooth
+FEWEST_TRIPLES = 20  # triples of rows from which noise is estimated
+QUIET_ROWS = 6  # the same as a number of rows, for sweeps of single steps
 REPEATS = 4e-5
-"""Repeatability, rms, over the length of the arm. Data sheets state RP by ISO 9283, the mean distance and three of its
-standard deviations, about twice the rms: 0.1 mm for a UR10 of 1.3 m; KUKA's and ABB's arms have a third of that."""
+"""Repeatability, rms, over the length of the arm. Data sheets state RP by ISO 9283: the mean distance plus three of its
+standard deviations, about twice the rms. It is 0.1 mm for a UR10 of 1.3 m, and a third of that for KUKA and ABB."""
 
 
 @dataclass(frozen=True)
 class Floor:
-    """The error that noise alone leaves: per channel ``(m,)`` SI, and where that is known from.
-
-    Of poses ``(3,)``, with distances ``(4,)``: the mean square over all rows, those that lack a channel counted as none
-    there, as the errors of :func:`size_of` are, so that floor and errors go together.
+    """The noise floor: the error that noise alone leaves.
 
     Attributes
     ----------
+    sigma
+        Root mean square for each channel ``(m,)``, SI. For poses ``(3,)``, with distances ``(4,)``: the mean square is
+        over all rows, and rows without a channel count as zero in it, as in :func:`size_of`.
+    source
+        Where it comes from: repeated poses, the instrument's stated noise, the log itself, or a regression on it.
     repeats
-        Of poses: by how much a robot of that size may come back beside its place, rms in m, where no returns say.
+        Poses: typical repeatability of a robot of that size, rms in m; 0 where returns to poses measure it.
     freedom
-        Of poses: degrees of freedom of the returns that say so, the fewest of points and distances; 0: none.
+        Poses: degrees of freedom of the returns, the fewer of points and distances; 0 if returns are too few.
     """
 
     sigma: Array
@@ -59,12 +61,12 @@ class Floor:
 
     @property
     def norm(self) -> float:
-        """Of poses: root sum of squares, m; of points over their coordinates."""
+        """Poses: root sum of squares over the channels, m."""
         return float(np.sqrt(np.sum(self.sigma**2)))
 
     @property
     def most(self) -> float:
-        """Of poses: what noise and the robot's repeatability may leave at most, m."""
+        """Poses: the largest error that noise and the robot's repeatability explain, m."""
         return float(np.hypot(self.norm, self.repeats))
 
 
@@ -100,11 +102,11 @@ def noise_floor(rows: Rows, residual: Array) -> Floor:
 
 
 def _spread(run: Integers, residual: Array, used: Bools, lag: int) -> float:
-    """Noise of one motor by how far its residual ``(N,)`` is off the middle of its neighbours ``lag`` rows away.
+    """Noise of one motor, from the difference of its residual ``(N,)`` to the mean of its neighbours ``lag`` rows away.
 
-    A smooth misfit cancels there, and noise that is forgotten by then has 3/2 its variance. Stretches shorter than that
-    are judged by nearer neighbours, of which noise that lasts cancels in part: the floor is then low, not high. 1 where
-    no row counts.
+    Smooth misfit cancels in this difference. Noise that is uncorrelated over ``lag`` rows gives it 3/2 of its variance.
+    Shorter stretches use nearer neighbours, where correlated noise cancels in part: the floor is then too low, never
+    too high. 1 if no row counts.
     """
     while lag > 0:
         same = (run[2 * lag :] == run[: -2 * lag]) & used[2 * lag :] & used[lag:-lag] & used[: -2 * lag]
@@ -116,7 +118,7 @@ def _spread(run: Integers, residual: Array, used: Bools, lag: int) -> float:
 
 
 def _pose_floor(rows: Rows) -> Floor:
-    """That of points and of distances, each from its own returns where there are enough, by their shares of rows."""
+    """Noise floor of poses: points and distances, each from its own returns if there are enough, by shares of rows."""
     kinds = [(~rows.ranged, [0, 1, 2]), (rows.ranged, [6])]
     variances, sources, repeats = [], [], 0.0
     freedom: list[int] = []
@@ -137,10 +139,10 @@ def _pose_floor(rows: Rows) -> Floor:
 
 
 def _returns(rows: Rows, mine: Bools, channels: Sequence[int]) -> tuple[Array, int] | None:
-    """Pooled standard deviation of channels of some rows ``(N,)`` over returns, degrees of freedom; None if too few."""
+    """Pooled standard deviation of channels over the returns among the rows ``mine``, and its degrees of freedom."""
     place = np.c_[rows.session, rows.fold, rows.signals["target_is"], rows.signals["anchor_is"]]
     warm = np.c_[rows.signals["link_temperature"], rows.signals["motor_temperature"]]
-    usable = mine & rows.used[:, channels].all(axis=1)  # an outlier is no noise
+    usable = mine & rows.used[:, channels].all(axis=1)  # without outliers
     returns = comparable_returns(place[usable], rows.unit[usable], rows.signals["direction"][usable], warm[usable])
     freedom = freedom_of(returns)
     if freedom < ENOUGH_RETURNS:
@@ -153,9 +155,10 @@ def _returns(rows: Rows, mine: Bools, channels: Sequence[int]) -> tuple[Array, i
 
 
 def size_of(rows: Rows, residual: Array, floor: Floor) -> tuple[Array, Bools]:
-    """Errors as the stage counts them, and which count: in metres ``(N,)``, or ``(N, n)`` in units of noise.
+    """Sizes of the errors, and which of them count.
 
-    In metres a point's is a norm, and a distance's its one number.
+    Poses: ``(N,)``, m; the norm of a point's error, or the error of a distance. Torques: ``(N, n)``, in units of each
+    motor's noise.
     """
     if rows.kind.points:
         return lengths(residual), np.asarray(rows.used.any(axis=1))
@@ -169,9 +172,9 @@ def rms_of(rows: Rows, residual: Array, floor: Floor) -> float:
 
 
 def predicted(problem: FitProblem, theta: Array, noise: Noise | None = None) -> Array:
-    """Residuals ``(N, m)`` of rows that were not fitted, at given slot values ``(P,)``.
+    """Residuals ``(N, m)`` of rows that were not fitted, at given slot values ``(P,)``, SI.
 
-    The unknown constants of a run or sweep are found from it, all else fixed.
+    Constants of a single run or sweep are fitted to its rows, with all else fixed.
     """
     if not problem.offsets:
         return problem.error(theta)
@@ -186,12 +189,21 @@ def predicted(problem: FitProblem, theta: Array, noise: Noise | None = None) -> 
 
 
 def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Array]:
-    """Residuals of the fitted rows, each predicted by a fit without its fold (whole poses, runs or sweeps; five parts).
+    """Residuals of the fitted rows, each predicted by a fit without its part: fivefold cross-validation.
 
-    What belongs to single runs or sweeps, such as the posture at which one was clamped, these show themselves.
-    A fit without a fifth of its rows differs from the whole by about its standard errors, so that one Gauss-Newton step
-    from the whole fit's normal equations, less those of the part, is that fit: all that is left out is the model's
-    curvature within a standard error. Flanks stay where the whole fit has them.
+    Whole poses, runs or sweeps are left out together. Constants of single runs or sweeps, such as the posture at which
+    one was clamped, are fitted to the left-out rows. A fit without a fifth of its rows differs from the whole fit by
+    about its standard errors. Therefore each such fit is one Gauss-Newton step with the normal equations of the other
+    parts; this neglects only the model's curvature within a standard error. Flanks stay as in the whole fit.
+
+    Parameters
+    ----------
+    estimate
+        The fit of ``rows``.
+    rows
+        The rows it was fitted to.
+    seed
+        For the division into parts.
     """
     problem, white = estimate.problem.with_flanks(estimate.theta), estimate.whitened
     part = parts_of_rows(rows, seed)
@@ -210,7 +222,7 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
         A = sum((n[0] for n in others), estimate.prior_precision)
         b = sum((n[1] for n in others), lever)
         step = newton_step(A, b, size, 0.0, free)
-        if len(its_own):  # a run or sweep that was not fitted shows its own constants itself
+        if len(its_own):  # constants of runs or sweeps that were left out are fitted to their own rows
             shown = np.diag(A_out)[its_own] > 0
             weak = estimate.prior_precision[np.ix_(its_own, its_own)]
             left = b_out[its_own] - A_out[np.ix_(its_own, shared)] @ step[shared] + lever[its_own]
@@ -224,7 +236,7 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
 
 
 def parts_of_rows(rows: Rows, seed: int) -> Integers:
-    """Which of five parts each row ``(N,)`` is of, whole folds."""
+    """Number of the cross-validation part (0 to 4) of each row ``(N,)``; a fold is never divided."""
     order = rows.shuffled_folds(seed)
     place = np.argsort(order)  # order holds each fold once
     return np.asarray((place % FOLDS)[np.searchsorted(np.sort(order), rows.fold)])
@@ -235,7 +247,7 @@ def _normal(J: Array, r: Array) -> tuple[Array, Array]:
 
 
 def counted(estimate: Estimate, verification: Rows | None) -> tuple[Rows, Array]:
-    """Fitted rows and residual that errors are of: beside a verification table, which is of points, no distances."""
+    """Fitted rows and their residual that errors are computed from: points only, if there is a verification table."""
     rows, residual = estimate.problem.rows, estimate.residual
     if verification is None or not rows.kind.points:
         return rows, residual
@@ -245,9 +257,9 @@ def counted(estimate: Estimate, verification: Rows | None) -> tuple[Rows, Array]
 def unseen(
     estimate: Estimate, rows: Rows, held_out: Sequence[Sequence[int]], verification: Rows | None, seed: int
 ) -> tuple[Rows, Array]:
-    """Rows that no fit has seen, with their residuals.
+    """Held-out rows with their residuals.
 
-    Those of a verification table, else those kept out, else all, each predicted by a fit without it.
+    Those of a verification table; else the rows that were held out; else all rows, by cross-validation.
     """
     fitted, left = counted(estimate, verification)
     count = len(estimate.slots)
@@ -268,11 +280,25 @@ def stage_errors(
     seed: int,
     floor: Floor | None = None,
 ) -> StageErrors:
-    """Errors on fitted and held-out rows: a verification table, else the rows kept out, else cross-validation.
+    """Errors on fitted and held-out rows (a verification table, else rows held out, else cross-validation).
 
-    Where points are compared with a verification table, distances beside them do not count. Single rows of that table
-    that are wrong do not count either, as in a fit. ``floor``: what torques are measured in, so that models can be
-    compared; the estimate's own by default.
+    With a verification table, distances do not count. Outliers of that table do not count either, as in a fit.
+
+    Parameters
+    ----------
+    estimate
+        The fit.
+    rows
+        The rows of the stage, held-out ones included.
+    held_out
+        Folds that were not fitted, for each campaign.
+    verification
+        Rows of a verification table.
+    seed
+        For the cross-validation.
+    floor
+        The noise in whose units errors of torques are given, so that models can be compared; by default from the
+        estimate.
     """
     fitted, left = counted(estimate, verification)
     if floor is None or len(left) < len(estimate.residual):

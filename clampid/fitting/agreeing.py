@@ -1,16 +1,15 @@
-"""Rows that would be rejected as outliers, but agree with each other: no outliers, but what the model lacks.
+"""Rows that look like outliers but cluster in a recorded variable: a missing effect, not wrong measurements.
 
-An instrument's wrong numbers come anywhere. Where the rows that a fit would reject crowd together in a recorded
-variable (an angle, a load, a temperature, the time, a place) or belong to one target, direction or session, something
-that these rows share moves them, and no row is dropped for what a model lacks.
+Wrong measurements occur anywhere. If the rows that a fit would reject cluster in a recorded variable (an angle, a load,
+a temperature, the time, a place), or belong to one target, direction or session, then something that these rows share
+has moved them. They agree, and are not rejected: no row is dropped for what a model lacks.
 
-The null says that the V visits of which rows would be rejected, K of them, are any K of all. Along a variable the
-visits are put in order, and for every stretch from one bad visit to another the likelihood ratio is taken of bad visits
-being more frequent inside than outside; the largest is compared with those of K visits drawn at random. Of categories,
-the hypergeometric tail says the same. The chance that anything is called agreement where nothing agrees is
-:data:`AGREEING_FALSE_ALARMS`, over all variables (Bonferroni). Source: Kulldorff, A spatial scan
-statistic, Communications in Statistics 26, 1997. Visits are counted, not rows, for what moves one point of a visit may
-move all of them: what is wrong in one visit alone agrees with nothing.
+Null hypothesis: the K visits with rows to be rejected ("bad" visits) are a random sample of all V visits. The visits
+are sorted by the variable. For every stretch from one bad visit to another, the likelihood ratio for more bad visits
+inside than outside is computed; the largest one is compared with those of K visits drawn at random. For categories the
+hypergeometric tail is used. The chance of a false agreement is :data:`AGREEING_FALSE_ALARMS` over all variables
+(Bonferroni). Source: Kulldorff, A spatial scan statistic, Communications in Statistics 26, 1997. Visits are counted,
+not rows, because one cause may move all points of a visit.
 """
 
 from __future__ import annotations
@@ -27,32 +26,32 @@ from clampid.stages.rows import Array, Bools, Integers, Rows
 
 __all__ = ["AGREEING_FALSE_ALARMS", "MIN_VISITS", "Agreement", "agreement"]
 
-# Chance that rejected rows of clean tables are said to agree; the same as of a row to be rejected at all.
+# Chance that rejected rows of a clean table are reported as agreeing; the same as that of any rejection.
 AGREEING_FALSE_ALARMS = 0.01
-MIN_VISITS = 4  # visits that agree: of fewer a model with a height, a middle and a width would say anything
+MIN_VISITS = 4  # visits that agree: fewer could be fitted exactly by a height, a middle and a width
 NULL_DRAWS = 9999
-NUMBERS_AT_ONCE = 2_000_000  # numbers drawn at once, for the memory they take
-FARTHER = 4.0  # than the rows that agree are off in the median: what is, is wrong beside
+NUMBERS_AT_ONCE = 2_000_000  # random numbers in memory at once
+WRONG_AMONG_AGREEING = 4.0  # times the median size of agreeing rows: a row farther off is an outlier nevertheless
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Rows that agree.
+    """Rows that cluster in a variable or a category.
 
     Attributes
     ----------
     rows
-        ``(N,)``.
+        ``(N,)``: which rows.
     variable
-        In what they agree, as a column is called without its unit; ``target`` or ``session``.
+        Name of the column without its unit, or ``target`` or ``session``.
     low, high
-        Between which values, SI; NaN of a target or session.
+        Range of the variable, SI; NaN for a category.
     label
-        Which target, session or direction.
+        Which target, session or direction; empty for a variable.
     p
-        Chance of as much agreement, over all variables.
+        p-value of the agreement, corrected for all variables.
     visits
-        How many visits they are of.
+        Number of visits among these rows.
     """
 
     rows: Bools
@@ -65,7 +64,7 @@ class Agreement:
 
     @property
     def sentence(self) -> str:
-        """For people."""
+        """What was found, as a sentence."""
         where = f"in {self.variable}"
         if self.variable in ("target", "session"):
             where = f"of {self.variable} {self.label}"
@@ -81,7 +80,7 @@ class Agreement:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """For programs."""
+        """For JSON; SI."""
         span = {} if np.isnan(self.low) else {"low": self.low, "high": self.high}
         label = {"which": self.label} if self.label else {}
         count = int(self.rows.sum())
@@ -89,16 +88,18 @@ class Agreement:
 
 
 def agreement(rows: Rows, bad: Bools, size: Array) -> list[Agreement]:
-    """Which of the rows marked as outliers agree with each other, and in what; the clearest first.
+    """Which of the rows marked as outliers agree with each other, and in which variable; smallest p-value first.
 
-    What has been found is set aside, and the rest looked at again.
+    Agreeing rows are set aside, and the search is repeated on the others.
 
     Parameters
     ----------
-    rows, bad
-        Of poses, and which of them ``(N,)`` would be rejected.
+    rows
+        Rows of poses.
+    bad
+        ``(N,)``: which of them would be rejected.
     size
-        ``(N,)``: how far they are off. One that is much farther off than those it agrees with is wrong beside.
+        ``(N,)``: size of their errors. A row much farther off than those it agrees with stays an outlier.
     """
     left = bad.copy()
     found: list[Agreement] = []
@@ -108,13 +109,13 @@ def agreement(rows: Rows, bad: Bools, size: Array) -> list[Agreement]:
             return found
         off = size[best.rows]
         mine = best.rows.copy()
-        mine[np.flatnonzero(mine)[off > FARTHER * np.median(off)]] = False
+        mine[np.flatnonzero(mine)[off > WRONG_AMONG_AGREEING * np.median(off)]] = False
         found.append(Agreement(mine, best.variable, best.low, best.high, best.label, best.p, best.visits))
         left &= ~best.rows
 
 
 def _clearest(rows: Rows, bad: Bools) -> Agreement | None:
-    """The variable or category in which marked rows agree most; None of too few."""
+    """The variable or category with the smallest p-value; None if too few visits are marked."""
     known = rows.used.any(axis=1) | bad
     _, first, visit = np.unique(rows.unit[known], return_index=True, return_inverse=True)
     wrong = np.bincount(visit, bad[known], minlength=len(first)) > 0
@@ -137,7 +138,7 @@ def _clearest(rows: Rows, bad: Bools) -> Agreement | None:
         null = _null(V, K)
         p = float((1 + np.sum(null >= ratio[0])) / (len(null) + 1))
         low, high = float(x[order[place[i[0]]]]), float(x[order[place[j[0]]]])
-        # Of a visit its first row's value counts: targets of one visit lie in different places.
+        # The first row of a visit gives its value: targets of one visit lie in different places.
         inside = bad.copy()
         inside[known] &= (x[visit] >= low) & (x[visit] <= high)
         found.append(Agreement(inside, name, low, high, "", p, int(j[0] - i[0] + 1)))
@@ -158,7 +159,7 @@ def _clearest(rows: Rows, bad: Bools) -> Agreement | None:
 
 
 def _of_target(rows: Rows, bad: Bools, member: Bools) -> float:
-    """Chance that so many of the rejected rows are of one target: targets share visits, so that rows are counted."""
+    """p-value of so many rejected rows of one target. Rows are counted here, because targets share visits."""
     known = rows.used.any(axis=1) | bad
     k, K, n = int((bad & member).sum()), int(bad.sum()), int((member & known).sum())
     return float(stats.hypergeom.sf(k - 1, int(known.sum()), K, n))
@@ -171,7 +172,7 @@ def _variables(rows: Rows) -> Iterator[tuple[str, Array]]:
         q = s["q"][:, j]
         yield f"q{j + 1}", q if joint.kind != "revolute" else np.remainder(q + np.pi, turn) - np.pi
         yield f"tau{j + 1}", s["gravity_torque"][:, j]
-        if np.ptp(s["motor"][:, j]) > 2.0 * turn:  # else it says what the joint's angle says
+        if np.ptp(s["motor"][:, j]) > 2.0 * turn:  # else it orders rows as the joint's angle does
             yield f"motor{j + 1}", np.remainder(s["motor"][:, j], turn)
         yield f"temp_link{j + 1}", s["link_temperature"][:, j]
         yield f"temp_motor{j + 1}", s["motor_temperature"][:, j]
@@ -181,7 +182,7 @@ def _variables(rows: Rows) -> Iterator[tuple[str, Array]]:
 
 
 def _categories(rows: Rows) -> Iterator[tuple[str, str, Bools]]:
-    """Kinds of rows: name, which, and the rows ``(N,)``."""
+    """Categories of rows: name, label, and which rows ``(N,)``."""
     s = rows.signals
     for j in range(rows.robot.n):
         for side in (-1.0, 1.0):
@@ -198,7 +199,7 @@ def _categories(rows: Rows) -> Iterator[tuple[str, str, Bools]]:
 
 
 def _counts(K: int) -> list[int]:
-    """How many bad visits stretches hold that are tried: every number up to twelve, then every fourth part more."""
+    """Numbers of bad visits in the stretches that are tried: every number up to twelve, then in steps of a quarter."""
     out = list(range(MIN_VISITS, min(K, 12) + 1))
     while out and out[-1] < K:
         out.append(min(K, int(np.ceil(1.25 * out[-1]))))
@@ -206,12 +207,14 @@ def _counts(K: int) -> list[int]:
 
 
 def _largest(place: Array | Integers, V: int) -> tuple[Array, Integers, Integers]:
-    """The largest logarithm of the likelihood ratio over stretches ``(D,)``, and its first and last bad visit.
+    """The largest log likelihood ratio over stretches ``(D,)``, and the first and last bad visit of that stretch.
 
     Parameters
     ----------
     place
-        ``(D, K)``: where bad visits stand among the V, ascending.
+        ``(D, K)``: positions of the bad visits among the V sorted ones, ascending; one line for each draw.
+    V
+        Number of visits.
     """
     D, K = place.shape
     best, first, last = np.zeros(D), np.zeros(D, dtype=np.int64), np.zeros(D, dtype=np.int64)
@@ -233,7 +236,7 @@ def _largest(place: Array | Integers, V: int) -> tuple[Array, Integers, Integers
 
 @lru_cache(maxsize=256)
 def _null(V: int, K: int) -> Array:
-    """The same ``(NULL_DRAWS,)`` of K visits drawn at random from V."""
+    """Largest log likelihood ratios ``(NULL_DRAWS,)`` under the null: K visits drawn at random from V."""
     rng = np.random.default_rng([V, K])
     out, step = [], max(1, NUMBERS_AT_ONCE // V)
     for start in range(0, NULL_DRAWS, step):

@@ -1,4 +1,4 @@
-"""Base parameters as values, the physical words that they are called by, and their form in a model file."""
+"""Base parameters of inertia and gravity: their value, their name in physical terms, and their form in a model file."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ _DIGITS = 4  # of a coefficient in a name: a tenth of a millimetre in a metre
 
 @dataclass(frozen=True)
 class BaseParameter:
-    """A combination of inertial parameters that the data determine, where they do not separate its terms.
+    """A linear combination of inertial parameters that the data determine, although not its single terms.
 
     Attributes
     ----------
     name
         In words, such as ``m·c_x of link 3 + 0.425 m · m of link 4``.
     terms
-        (parameter, coefficient), the first with coefficient 1. First moments and inertias count from the point on the
-        link's own joint, in base axes at the zero pose; those of a tool in the flange frame.
+        (parameter, coefficient), the first with coefficient 1. First moments and inertias are about the point on the
+        link's own joint, in base axes at the zero pose; those of a tool are in the flange frame.
     value, std
-        Of the whole, described part included, with the standard error of the fit; SI.
+        Value of the combination, described part included, and its standard error; SI.
     described
-        What the robot's description gives; 0 where it has no masses.
+        Value of the combination by the robot's description; 0 if that has no masses.
     known
         Whether the fit determines it to within the reasonable size of its first term.
     """
@@ -84,12 +84,14 @@ def label_of(effect: str, parameter: str) -> str:
 
 
 def base_name(terms: Sequence[tuple[Slot, float]], effects: Mapping[str, Effect]) -> str:
-    """The name of a combination of parameters.
+    """The name of a combination of parameters, such as ``m·c_x of link 3 + 0.425 m · m of link 4``.
 
     Parameters
     ----------
     terms
-        (parameter, coefficient); terms of one parameter and one coefficient are put together.
+        (parameter, coefficient). Consecutive terms of one kind with equal coefficients become one term of the name.
+    effects
+        All known effects, by name.
     """
     own = find_parameter(terms[0][0], effects).unit
     parts: list[str] = []
@@ -105,7 +107,7 @@ def base_name(terms: Sequence[tuple[Slot, float]], effects: Mapping[str, Effect]
 
 def _kind(term: tuple[Slot, float]) -> tuple[str, str, str, bool]:
     slot, coefficient = term
-    exact = float(f"{abs(coefficient):.8g}")  # so that equal lengths round alike: 0.050625 has the halves both ways
+    exact = float(f"{abs(coefficient):.8g}")  # removes rounding errors, so that equal lengths get equal digits
     return slot.effect, slot.parameter, f"{exact:.{_DIGITS}g}", coefficient < 0
 
 

@@ -1,12 +1,11 @@
-"""The base (minimal) parameters of gravity and inertia: the combinations that the data determine, and nothing beyond.
+"""The base (minimal) parameters of gravity and inertia: combinations of parameters that the data determine.
 
-A torque depends on the links' masses, first moments and inertias through fewer numbers than they are: a mass at joint
-k+1's axis is the same as more mass at the far end of link k. Columns of the Jacobian are taken in a fixed order (from
-the base outwards; first moments, then inertias, then masses), and one that adds nothing to those before it is a
-combination of them: its parameter joins theirs with these coefficients, which come out as lengths of the arm. What adds
-nothing and resembles nothing is not in the data at all. Columns are those of the data's own postures, so that a joint
-that never moved welds its links together. How well the data determine each combination is a second question, which
-noise decides.
+Torques depend on fewer numbers than there are masses, first moments and inertias: a mass on the axis of joint k+1 has
+the same effect as more mass at the far end of link k. Columns of the Jacobian are taken in a fixed order (from the base
+outwards; first moments, then inertias, then masses). A column that depends linearly on those before it is dropped, and
+its parameter is added to theirs with these coefficients, which are lengths of the arm. A column of zeros has no effect
+on the data. The columns are those of the data's own postures: links on both sides of a joint that never moved count as
+one body. How accurately the data determine each combination is a separate question, which depends on the noise.
 
 Source: Gautier 1991, Numerical calculation of the base inertial parameters of robots, J. Robotic Systems 8(4), eqs.
 14-23 (QR of the observation matrix, X_B = X_1 + R_1^-1 R_2 X_2), with the order of columns fixed instead of pivoted, so
@@ -35,23 +34,23 @@ from kinematics.robot import RobotDescription
 
 __all__ = ["base_parameters", "described_parameters", "grouped", "regroup", "to_joint_points"]
 
-EXACT = 1e-7  # a column whose new part is a smaller share of it is a combination of others, but for rounding
-NEGLIGIBLE_COLUMN = 1e-11  # of the largest column: nothing
-NOUGHT = 1e-6  # a share this small, in reasonable sizes, is rounding
-OPEN_SHARE = 0.7  # of what was known before: where the data leave more of it, they do not determine
+EXACT = 1e-7  # relative length of a column's part that is new: below this it is a combination of others
+NEGLIGIBLE_COLUMN = 1e-11  # length over that of the largest column: below this a column counts as zero
+NEGLIGIBLE_COEFFICIENT = 1e-6  # in reasonable sizes: smaller coefficients are rounding errors
+OPEN_SHARE = 0.7  # standard error over that of the prior: above this the data do not determine a combination
 TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")
 OF_BODY: tuple[Role, ...] = (*WEIGHTS, "inertia_tensor")
 
 
 def base_parameters(estimate: Estimate) -> tuple[BaseParameter, ...]:
-    """The base parameters of a torque fit, from the rank of its own rows.
+    """The base parameters of a torque fit, from the rank of its Jacobian in the rows that it has fitted.
 
-    Source: the module's docstring. The standard errors are those of the whole fit, prior knowledge included.
+    Source: the module's docstring. The standard errors are those of the whole fit, prior included.
 
     Parameters
     ----------
     estimate
-        Of the stage ``free_air``.
+        A fit of the stage ``free_air``.
 
     Returns
     -------
@@ -75,22 +74,27 @@ def base_parameters(estimate: Estimate) -> tuple[BaseParameter, ...]:
 def grouped(
     problem: FitProblem, theta: Array, covariance: Array, precision: Array, columns: Array, offsets: Array
 ) -> tuple[BaseParameter, ...]:
-    """The base parameters of a torque fit whose columns are given.
+    """The base parameters of a torque fit, from columns of its Jacobian.
 
     Parameters
     ----------
     problem
-        Slots and robot.
+        The fitted problem; its slots, effects and robot are used.
     theta, covariance, precision
-        ``(P,)``, ``(P, P)`` and the prior's ``(P, P)``, SI.
+        Fitted values ``(P,)``, their covariance ``(P, P)`` and the prior's precision ``(P, P)``, SI.
     columns, offsets
-        Of some rows over their noise, the Jacobian of the slots ``(M, P)`` and of the runs' offsets ``(M, K)``.
+        Jacobian in a sample of rows, over their noise, by the slots ``(M, P)`` and by the runs' offsets ``(M, K)``.
+
+    Returns
+    -------
+    tuple
+        From the base outwards.
     """
     slots, effects = problem.slots, problem.effects
     robot, count = problem.rows.robot, len(slots)
     size = problem.sizes()[:count]
     turned = to_joint_points(slots, robot)
-    order = sorted(range(count), key=lambda k: _turn(slots[k]))
+    order = sorted(range(count), key=lambda k: _column_order(slots[k]))
     kept, coefficients = regroup(columns @ np.linalg.inv(turned) * size, order, offsets)
     described = described_parameters(slots, robot)
     theta = turned @ theta + described
@@ -100,7 +104,7 @@ def grouped(
     for k, shares in zip(kept, coefficients, strict=True):
         if not has_role(slots[k], *INERTIAL):
             continue
-        weights = np.where(np.abs(shares) > NOUGHT, shares * size[k] / size, 0.0)
+        weights = np.where(np.abs(shares) > NEGLIGIBLE_COEFFICIENT, shares * size[k] / size, 0.0)
         terms = _ordered([(slots[j], float(weights[j])) for j in order if weights[j] != 0.0], slots[k])
         std, prior = (float(np.sqrt(max(float(weights @ C @ weights), 0.0))) for C in (covariance, before))
         unit = find_parameter(slots[k], effects).unit
@@ -111,7 +115,7 @@ def grouped(
 
 
 def regroup(columns: Array, order: Sequence[int], nuisance: Array | None = None) -> tuple[list[int], Array]:
-    """Take columns in order; keep those that add something, and write the others in terms of them.
+    """Take columns in order; keep the linearly independent ones, and express the others by them.
 
     Source: Gautier 1991, eqs. 14-23; here by Gram-Schmidt with reorthogonalisation in a given order.
 
@@ -122,12 +126,12 @@ def regroup(columns: Array, order: Sequence[int], nuisance: Array | None = None)
     order
         In which the columns are taken.
     nuisance
-        ``(M, K)``: columns that are taken first and are of no interest themselves.
+        ``(M, K)``: columns that are projected out first.
 
     Returns
     -------
     list, Array
-        The columns kept, and ``(kept, P)`` what each of them stands for: ``columns ≈ columns[:, kept] @ coefficients``.
+        Numbers of the columns kept, and coefficients ``(kept, P)`` with ``columns ≈ columns[:, kept] @ coefficients``.
     """
     basis = np.zeros((len(columns), 0))
     if nuisance is not None and nuisance.size:
@@ -156,10 +160,10 @@ def regroup(columns: Array, order: Sequence[int], nuisance: Array | None = None)
 
 
 def to_joint_points(slots: Sequence[Slot], robot: RobotDescription) -> Array:
-    """The matrix ``(P, P)`` that moves the origin of links' first moments from the base's to a point on their joint.
+    """The matrix ``(P, P)`` that moves the origin of the links' first moments from the base to a point on their joint.
 
-    m c counts from the base's origin in the model, which makes it the same for every choice of frames, but mixes each
-    mass into its moments; source: m (c − p) = m c − m p.
+    In the model, m c is about the base's origin, so that it does not depend on a choice of link frames. The new moments
+    are m (c − p) = m c − m p, with p a point on the link's joint axis.
     """
     index = {slot: k for k, slot in enumerate(slots)}
     out = np.eye(len(slots))
@@ -173,10 +177,10 @@ def to_joint_points(slots: Sequence[Slot], robot: RobotDescription) -> Array:
 
 
 def described_parameters(slots: Sequence[Slot], robot: RobotDescription) -> Array:
-    """What each slot ``(P,)`` counts from, about the links' joint points: the description.
+    """Described values ``(P,)`` to which the fitted slots are added, about the links' joint points, SI.
 
-    Where that has no masses, those of :func:`kinematics.masses.usual_links`. Links without described inertia count as
-    points, as they do in the model's own torques (:func:`clampid.stages.loads.inertial_bodies`).
+    If the description has no masses, those of :func:`kinematics.masses.usual_links` are used. Links without described
+    inertia are point masses, as in the model's own torques (:func:`clampid.stages.loads.inertial_bodies`).
     Source: Lynch & Park, theorem 8.2 (Steiner).
     """
     out = np.zeros(len(slots))
@@ -193,12 +197,13 @@ def described_parameters(slots: Sequence[Slot], robot: RobotDescription) -> Arra
 
 
 def _columns(estimate: Estimate) -> tuple[Array, Array]:
-    """Jacobian of some of the rows over their noise: of the slots ``(M, P)``, and of the runs' offsets ``(M, K)``."""
+    """Jacobian of a sample of rows over their noise, by the slots ``(M, P)`` and by the runs' offsets ``(M, K)``."""
     rows: Rows = estimate.problem.rows
     chosen = sampled_rows(rows)
     part = rows.take(chosen)
     if not estimate.problem.numbers_of(*INERTIAS):
-        # Rows are steady then: the little acceleration they have must not blur what gravity cannot separate.
+        # Rows are steady then. Their small accelerations would make parameters look separable that gravity cannot
+        # separate.
         part = replace(part, signals={**part.signals, **_at_rest(part)})
     trial = estimate.problem.with_rows(part)
     count = len(estimate.slots)
@@ -219,8 +224,8 @@ def _at_rest(rows: Rows) -> dict[str, Array]:
     return out
 
 
-def _turn(slot: Slot) -> tuple[int, int, int, str]:
-    """Links from the base outwards, each with its first moments, inertias and mass; then the tool, rotors, all else."""
+def _column_order(slot: Slot) -> tuple[int, int, int, str]:
+    """Sort key of columns: links from the base outwards (first moments, inertias, mass); tool; rotors; all others."""
     role = role_of(slot)
     if has_role(slot, *OF_BODY, per="link"):
         return 0, _number(slot), ("first_moment", "inertia_tensor", "mass").index(role), slot.parameter
@@ -230,7 +235,7 @@ def _turn(slot: Slot) -> tuple[int, int, int, str]:
 
 
 def _ordered(terms: Sequence[tuple[Slot, float]], first: Slot) -> tuple[tuple[Slot, float], ...]:
-    """The first parameter, then those of its kind, then others; alike ones side by side, so that a name is short."""
+    """Terms in the order of the name: the first parameter, then by kind; equal ones together, for a short name."""
 
     def key(term: tuple[Slot, float]) -> tuple[object, ...]:
         slot, weight = term
@@ -248,7 +253,7 @@ def _ordered(terms: Sequence[tuple[Slot, float]], first: Slot) -> tuple[tuple[Sl
 
 
 def _kind(slot: Slot) -> int:
-    """Weight of links, their inertia, weight of the tool, inertia of rotors, all else."""
+    """Rank of a parameter's kind: weight of links, their inertia, weight of the tool, inertia of rotors, all others."""
     if has_role(slot, *WEIGHTS):
         return 0 if has_role(slot, *WEIGHTS, per="link") else 2
     return {"inertia_tensor": 1, "rotor_inertia": 3}.get(role_of(slot), 4)

@@ -1,12 +1,13 @@
-"""Bootstrap by pose: how parameters scatter when whole poses are drawn anew, whatever the residuals are made of.
+"""Bootstrap by pose: standard errors from resampling whole poses with replacement.
 
-Formulas take residuals for independent noise. What a model leaves unexplained is not: all rows of a pose share it.
-Drawing whole poses with replacement keeps it together. Each draw weights the poses' own normal equations::
+The usual formulas assume independent residuals. Misfit is not independent: all rows of a pose share it. Resampling
+whole poses preserves this dependence. Each draw b weights the normal equations of pose f by w_f, how often it was
+drawn::
 
     theta_b = theta + (sum w_f A_f + Lambda)^-1 (sum w_f g_f - Lambda (theta - mu)),  A_f = J_f' J_f,  g_f = J_f' r_f
 
-one Gauss-Newton step from the fit of all poses, which a refit of each draw would only polish. Sources: Efron and
-Tibshirani, An Introduction to the Bootstrap, 1993, chapter 9 (resampling of cases); one step: Schucany and Wang,
+This is one Gauss-Newton step from the fit of all poses; a full refit of each draw would change little. Sources: Efron
+and Tibshirani, An Introduction to the Bootstrap, 1993, chapter 9 (resampling of cases); one step: Schucany and Wang,
 One-step bootstrapping for smooth iterative procedures, J. R. Stat. Soc. B 53, 1991.
 """
 
@@ -33,7 +34,7 @@ class Bootstrap:
     Attributes
     ----------
     count
-        How many draws.
+        Number of draws.
     std
         ``(P,)``: standard errors, SI.
     low, high
@@ -47,7 +48,14 @@ class Bootstrap:
 
 
 def bootstrap(estimate: Estimate, count: int = 1000, seed: int = 0) -> Bootstrap:
-    """Bootstrap a fit by its folds (whole poses with all visits and targets; in logs, runs or sweeps).
+    """Bootstrap a fit by its folds (whole poses with all visits and targets; for logs, runs or sweeps).
+
+    Parameters
+    ----------
+    estimate
+        The fit.
+    count, seed
+        Number of draws, and the seed of the random numbers.
 
     Raises
     ------
@@ -63,7 +71,7 @@ def bootstrap(estimate: Estimate, count: int = 1000, seed: int = 0) -> Bootstrap
 
 
 def draws(estimate: Estimate, count: int, rng: np.random.Generator) -> Array:
-    """How often each fold is drawn ``(count, F)``: within each session as many as it has.
+    """How often each fold is drawn ``(count, F)``; from each session as many folds as it has.
 
     Raises
     ------
@@ -82,7 +90,7 @@ def draws(estimate: Estimate, count: int, rng: np.random.Generator) -> Array:
 
 
 def one_step(estimate: Estimate, weights: Array) -> Array:
-    """Parameters ``(B, P + K)`` of fits whose folds have these weights ``(B, F)``, by one Gauss-Newton step each."""
+    """Parameters ``(B, P + K)``, SI, of fits with weights ``(B, F)`` of the folds, by one Gauss-Newton step each."""
     A, g = _normal_equations(estimate)
     size = estimate.problem.sizes()
     precision = estimate.prior_precision * np.outer(size, size)
@@ -98,7 +106,7 @@ def one_step(estimate: Estimate, weights: Array) -> Array:
 
 
 def _normal_equations(estimate: Estimate) -> tuple[Array, Array]:
-    """Normal matrices ``(F, P, P)`` and slopes ``(F, P)`` of every fold, in parameters of usual size."""
+    """Normal matrices ``(F, P, P)`` and gradients ``(F, P)`` of every fold, for parameters over their sizes."""
     _, fold = np.unique(estimate.problem.rows.fold, return_inverse=True)
     of: Integers = fold[estimate.whitened.entry]
     order = np.argsort(of, kind="stable")

@@ -1,4 +1,4 @@
-"""Downhill: damped Gauss-Newton on scaled normal equations with a prior, within bounds."""
+"""Minimisation by damped Gauss-Newton steps on scaled normal equations, with a prior and bounds."""
 
 from __future__ import annotations
 
@@ -25,31 +25,32 @@ __all__ = [
 
 ITERATIONS = 30
 DAMPING_START, DAMPING_END = 1e-3, 1e8
-# By how much less the least damping is each time that a step without any fails. Along a bent valley none is too little,
-# and a fixed least one may be a hundred times too much: steps then creep along it.
+# Factor on the smallest damping each time that an undamped step fails. In a curved valley undamped steps are too long,
+# but a fixed smallest damping may be a hundred times too large: the steps are then very short.
 LESS_DAMPING = 0.1
-# Nielsen's rule, by the share of its promise that a step keeps: Madsen, Nielsen, Tingleff, Methods for non-linear least
-# squares problems, 2004, sect. 3.2. Tens up and down instead made every second step fail along a bent valley.
+# Factors on the damping by Nielsen's rule, which uses the gain ratio (actual over predicted decrease): Madsen, Nielsen,
+# Tingleff, Methods for non-linear least squares problems, 2004, sect. 3.2. With factors of ten instead, every second
+# step failed along a curved valley.
 RAISED, LOWERED = 2.0, 1 / 3
-IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # so many steps that gain less than this share of the cost end the search
-CHORD = 0.1  # of its promise: a step that keeps as much, or exceeds it by no more, was taken by a good enough matrix
-NEGLIGIBLE = 1e-3  # a step that promises less than this of a unit of chi-square moves nothing by its error
+IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # a search ends after so many steps that lower the cost by less than this share
+CHORD_TOLERANCE = 0.1  # difference of the gain ratio from 1 up to which the previous normal matrix is kept
+NEGLIGIBLE = 1e-3  # predicted decrease, in units of chi-square: smaller steps are far within the standard errors
 
 
 class Point(Protocol):
-    """The cost and its local quadratic model at one parameter vector, prior left out."""
+    """The cost and its local quadratic model at one parameter vector, without the prior."""
 
     @property
     def theta(self) -> Array:
-        """Where ``(P,)``."""
+        """The parameter vector ``(P,)``, SI."""
 
     @property
     def cost(self) -> float:
-        """Sum of the whitened squares."""
+        """Sum of squares of the whitened residual."""
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of entries of the whitened residual."""
 
     def normal(self) -> tuple[Array, Array]:
         """Normal matrix ``(P, P)`` and downhill gradient ``(P,)`` of half the cost."""
@@ -60,7 +61,17 @@ PointT = TypeVar("PointT", bound=Point)
 
 @dataclass(frozen=True)
 class Limits:
-    """What a search keeps to: sizes that scale it, bounds, and which parameters ``(P,)`` they hold."""
+    """Scaling and bounds of a search.
+
+    Attributes
+    ----------
+    size
+        Reasonable sizes ``(P,)``, which scale the equations, SI.
+    lower, upper
+        Bounds ``(P,)``, SI.
+    bounded
+        ``(P,)``: to which parameters the bounds apply.
+    """
 
     size: Array
     lower: Array
@@ -68,36 +79,36 @@ class Limits:
     bounded: Bools
 
     def clipped(self, theta: Array) -> Array:
-        """A parameter vector ``(P,)`` brought back within the bounds that hold."""
+        """A parameter vector ``(P,)`` clipped to the bounds that apply."""
         return np.where(self.bounded, np.clip(theta, self.lower, self.upper), theta)
 
     def resting(self, theta: Array) -> Bools:
-        """Which parameters ``(P,)`` rest on a bound that holds."""
+        """Which parameters ``(P,)`` are at a bound that applies."""
         return np.asarray(self.bounded & ((theta <= self.lower) | (theta >= self.upper)))
 
 
 @dataclass
 class Chord(Generic[PointT]):
-    """The normal matrix of a point passed before, kept for later ones while steps keep their promise.
+    """The chord method: an earlier point's normal matrix is kept while the decrease is as predicted.
 
-    Where a model is nearly linear it hardly changes, and it may cost many times what a gradient does. With gradients of
-    their own points, searches end where they would with matrices of their own. Source: the chord method, Kelley,
-    Iterative methods for linear and nonlinear equations, 1995, sect. 5.4.
+    For a nearly linear model the matrix hardly changes, and it may cost many times as much as a gradient. Because each
+    point has its own gradient, searches converge to the same minimum. Source: Kelley, Iterative methods for linear and
+    nonlinear equations, 1995, sect. 5.4.
 
     Attributes
     ----------
     gradient
-        The downhill gradient ``(P,)`` of half the cost at a point.
+        Function that gives the downhill gradient ``(P,)`` of half the cost at a point.
     matrix
-        ``(P, P)``, without the prior's; None before the first point. It may come from an earlier search.
+        ``(P, P)``, without the prior; None before the first point. It may come from an earlier search.
     """
 
     gradient: Callable[[PointT], Array]
     matrix: Array | None = None
 
-    def normal(self, point: PointT, kept: float) -> tuple[Array, Array]:
-        """Normal matrix and gradient at a point, to which a step has led that has ``kept`` so much of its promise."""
-        if self.matrix is not None and abs(kept - 1.0) <= CHORD:
+    def normal(self, point: PointT, gain_ratio: float) -> tuple[Array, Array]:
+        """Normal matrix and gradient at a point, reached by a step with this ratio of actual to predicted decrease."""
+        if self.matrix is not None and abs(gain_ratio - 1.0) <= CHORD_TOLERANCE:
             return self.matrix, self.gradient(point)
         self.matrix, g = point.normal()
         return self.matrix, g
@@ -111,33 +122,37 @@ def descend(
     limits: Limits,
     chord: Chord[PointT] | None = None,
 ) -> tuple[PointT, int]:
-    """The lowest point from ``theta`` downhill, prior included, by damped Gauss-Newton; and the iterations it took.
+    """The local minimum of cost and prior that damped Gauss-Newton steps reach from ``theta``; and their number.
 
     Parameters
     ----------
     at
-        The cost at a parameter vector.
+        Gives the cost at a parameter vector ``(P,)``.
+    theta
+        Initial values ``(P,)``, SI.
     precision, mean
         The prior: ``(P, P)`` and ``(P,)``.
+    limits
+        Scaling and bounds.
     chord
-        What keeps a normal matrix while it is good enough; by default every point has its own.
+        Keeps a normal matrix while it is accurate enough; by default it is computed at every point.
     """
 
     def whole(point: PointT) -> float:
         off = point.theta - mean
         return point.cost + float(off @ precision @ off)
 
-    def normal(point: PointT, kept: float = 1.0) -> tuple[Array, Array]:
-        A, g = point.normal() if chord is None else chord.normal(point, kept)
+    def normal(point: PointT, gain_ratio: float = 1.0) -> tuple[Array, Array]:
+        A, g = point.normal() if chord is None else chord.normal(point, gain_ratio)
         return A + precision, g - precision @ (point.theta - mean)
 
     best = at(theta)
     cost, (A, g) = whole(best), normal(best)
-    own = chord is None  # whether the matrix is this point's own
+    own = chord is None  # whether the matrix was computed at this point
     damping, least, raise_by, idle, iteration = 0.0, DAMPING_START, RAISED, 0, 0
     while iteration < ITERATIONS and idle <= IDLE_STEPS and damping < DAMPING_END:
         iteration += 1
-        # A parameter that rests on its bound and would leave it stays there, so that the others' step is their own.
+        # A parameter at its bound whose gradient points outside is kept there, so that the others' step is optimal.
         on_bound = ((best.theta <= limits.lower) & (g < 0)) | ((best.theta >= limits.upper) & (g > 0))
         step = newton_step(A, g, limits.size, damping, ~(limits.bounded & on_bound))
         if float(g @ step) < NEGLIGIBLE * max(1.0, cost / max(best.count, 1)):
@@ -155,19 +170,31 @@ def descend(
                 damping *= raise_by
             raise_by *= RAISED
             continue
-        kept = (cost - reached) / float(step @ (2.0 * g - A @ step))  # of what the quadratic model promised
-        # Where gaps close, the cost has kinks, along which steps zigzag without getting anywhere.
+        gain_ratio = (cost - reached) / float(step @ (2.0 * g - A @ step))  # actual over predicted decrease
+        # Where clearances close, the cost has kinks, along which steps zigzag with little gain.
         idle = idle + 1 if reached > cost * (1 - IDLE_GAIN) else 0
         best, cost = trial, reached
-        A, g = normal(best, kept)
-        own = chord is None or abs(kept - 1.0) > CHORD
-        damping, raise_by = damping * max(LOWERED, 1.0 - (2.0 * kept - 1.0) ** 3), RAISED
+        A, g = normal(best, gain_ratio)
+        own = chord is None or abs(gain_ratio - 1.0) > CHORD_TOLERANCE
+        damping, raise_by = damping * max(LOWERED, 1.0 - (2.0 * gain_ratio - 1.0) ** 3), RAISED
         damping = damping if damping >= least else 0.0
     return best, iteration
 
 
 def newton_step(A: Array, g: Array, size: Array, damping: float, free: Bools) -> Array:
-    """Solve the normal equations of the free parameters, scaled by what each may amount to and by its column."""
+    """Solve the normal equations of the free parameters; the step ``(P,)``, zero for the others.
+
+    Parameters
+    ----------
+    A, g
+        Normal matrix ``(P, P)`` and downhill gradient ``(P,)``.
+    size
+        Reasonable sizes ``(P,)``; they and the columns' lengths balance the equations.
+    damping
+        Added to the diagonal of the balanced matrix.
+    free
+        ``(P,)``: which parameters may move.
+    """
     out = np.zeros_like(g)
     A, g, size = A[np.ix_(free, free)], g[free], size[free]
     balance = size / np.sqrt(np.maximum(np.diag(A) * size**2, 1e-300))
@@ -181,10 +208,10 @@ def newton_step(A: Array, g: Array, size: Array, damping: float, free: Bools) ->
 
 
 def inverse_of(A: Array) -> Array:
-    """Inverse of a normal matrix, its columns balanced first.
+    """Inverse ``(P, P)`` of a normal matrix that includes the prior, its columns balanced first.
 
-    The prior makes it definite. A pseudo-inverse would drop, as numerically zero, the directions of which only the
-    prior knows anything, and give them no error at all where it is largest.
+    The prior makes it positive definite. A pseudo-inverse would treat directions that only the prior determines as
+    numerically zero, and report a standard error of zero where it is largest.
     """
     balance = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
     scaled = A * np.outer(balance, balance)
@@ -197,14 +224,14 @@ def inverse_of(A: Array) -> Array:
 
 
 def covariance_of(normal: Array, precision: Array, squares: float, count: int) -> Array:
-    """Covariance ``(P, P)`` of a fit of independent numbers, of which the residual says the scale.
+    """Covariance ``(P, P)`` of a fit with independent noise, whose variance is estimated from the residual.
 
     Parameters
     ----------
     normal, precision
-        Of rows and prior, ``(P, P)``.
+        Normal matrix of the rows and precision of the prior, ``(P, P)``.
     squares, count
-        The whitened squares left, and of how many numbers.
+        Sum of squares of the whitened residual, and the number of its entries.
     """
     inverse = inverse_of(normal + precision)
     determined = len(inverse) - float(np.sum(inverse * precision))  # parameters that the rows determine, not the prior

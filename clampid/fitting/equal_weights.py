@@ -1,11 +1,11 @@
-"""The weights of a torque log: by the correlation of its noise in time, or the same for every row of a motor.
+"""The weights of a torque log: by the autocorrelation of its noise, or equal for all rows of a motor.
 
-Where the model is right, weights by the correlation give the least error. Where it lacks something slow, its residual
-takes that for noise that lasts; such weights then attend to the quick changes of the torque only, and the slow ones,
-which the model is to predict, go wrong. Cross-validation decides, all motors together: if a fit with equal weights
-leaves smaller squares on the rows it has not seen, by more than the standard error of the difference, it is taken. Its
-standard errors know the correlation all the same: with N the normal matrix of equal weights and M the covariance of
-its gradient under that noise, the rows determine N M^-1 N of the parameters.
+If the model is right, weights by the autocorrelation give the smallest error. If the model lacks a slow effect, its
+misfit looks like strongly correlated noise. Such weights then fit only the fast changes of the torque, and the model
+predicts the slow ones badly. Cross-validation decides, for all motors together: if a fit with equal weights has smaller
+held-out squares, by more than the standard error of the difference, it is used. Its standard errors still account for
+the correlation. With N the normal matrix of equal weights, and M the covariance of its gradient under correlated noise,
+the information of the rows on the parameters is N M^-1 N.
 Sources: White, Maximum likelihood estimation of misspecified models, Econometrica 50, 1982, and Godambe, Ann. Math.
 Stat. 31, 1960, for the information; Diebold & Mariano, Comparing predictive accuracy, J. Bus. Econ. Stat. 13, 1995,
 for the paired difference.
@@ -30,25 +30,26 @@ from clampid.stages.rows import Array, Bools
 __all__ = ["Weights", "gradient_power", "informed", "uncorrelated", "with_best_weights"]
 
 RINGING = 4 * LONGEST_LAG
-"""Rows after the last of a stretch over which a filter's answer to it is still counted."""
+"""Rows after the end of a stretch over which a filter's response is still counted."""
 SINGULAR = 1e-12
-"""Of the largest eigenvalue of a balanced covariance: what is smaller is a direction of which no row knows anything."""
+"""Eigenvalue of a balanced covariance over the largest one: in a direction below this, the rows have no information."""
 
-CHANCE = float(stats.norm.sf(1.0))
-"""Of a difference that is none, to lie more than one standard error to one side."""
+ONE_SIGMA_TAIL = float(stats.norm.sf(1.0))
+"""Chance that a difference of zero is estimated more than one standard error above zero."""
 
 
 @dataclass(frozen=True)
 class Weights:
-    """What cross-validation says of a log's weights.
+    """Comparison of equal weights with weights by the autocorrelation, by cross-validation.
 
     Attributes
     ----------
-    gain, error
-        By how much equal weights lower the mean square of the rows not seen, as a share of it, and the standard error
-        of that, from the differences between the parts.
+    gain
+        Relative decrease of the held-out mean square by equal weights; negative if they are worse.
+    error
+        Standard error of ``gain``, from the differences between the parts.
     parts
-        How many parts there are.
+        Number of parts.
     """
 
     gain: float
@@ -57,9 +58,9 @@ class Weights:
 
     @staticmethod
     def of(correlated: Array, equal: Array) -> Weights:
-        """From the squares ``(parts, n)`` that fits of the other parts leave of each motor's rows, two or more parts.
+        """The comparison, from held-out sums of squares ``(parts, n)`` of each motor, for two parts or more.
 
-        Motors count alike, whatever their torques.
+        All motors have the same weight, whatever their torques.
         """
         total = equal.sum(axis=0)
         moved = total > 0
@@ -70,8 +71,8 @@ class Weights:
 
     @property
     def equal(self) -> bool:
-        """Whether equal weights are taken: their gain is beyond its error, of few parts by as rare a chance."""
-        return self.gain > float(stats.t.isf(CHANCE, self.parts - 1)) * self.error
+        """Whether equal weights are used: the gain exceeds its standard error (by Student's t, for few parts)."""
+        return self.gain > float(stats.t.isf(ONE_SIGMA_TAIL, self.parts - 1)) * self.error
 
     def to_json(self) -> dict[str, Any]:
         """As the ledger keeps it."""
@@ -79,19 +80,19 @@ class Weights:
 
 
 def with_best_weights(estimate: Estimate, seed: int) -> tuple[Estimate, Weights | None]:
-    """Fit a log again with the weights that predict best, and say how the two compare.
+    """The fit of a log with the weights that predict better, and the comparison of the two.
 
     Parameters
     ----------
     estimate
-        Of ``free_air``, weighted by the correlation of its noise.
+        A fit of ``free_air``, weighted by the autocorrelation of its noise.
     seed
-        Of the cross-validation.
+        For the division into parts.
 
     Returns
     -------
     Estimate, Weights
-        The same estimate and None where the rows are of one part only.
+        The same estimate and None if the rows make up one part only.
 
     Raises
     ------
@@ -134,15 +135,15 @@ def with_best_weights(estimate: Estimate, seed: int) -> tuple[Estimate, Weights 
 
 
 def uncorrelated(channels: int) -> tuple[Array, ...]:
-    """Autocorrelations ``(65,)`` of as many channels, of white noise."""
+    """Autocorrelations ``(65,)`` of white noise, one for each channel."""
     return tuple(np.eye(1, LONGEST_LAG + 1)[0] for _ in range(channels))
 
 
 def gradient_power(columns: Array, groups: Grouping, predictors: Predictors) -> Array:
-    """J'RJ ``(p, p)`` of whitened columns ``(g, p)`` of one motor's rows, R the correlation of its noise.
+    """J'RJ ``(p, p)`` of whitened columns ``(g, p)`` of one motor's rows; R is the correlation matrix of its noise.
 
-    It is the power of the columns behind a filter that gives white noise that correlation; rows that do not count are
-    zeros there.
+    It is the power of the columns after a filter that gives white noise this correlation. Rows that do not count are
+    zeros at its input.
     """
     if not len(columns):
         return np.zeros((columns.shape[1], columns.shape[1]))
@@ -156,12 +157,12 @@ def gradient_power(columns: Array, groups: Grouping, predictors: Predictors) -> 
 
 
 def informed(plain: Moments, power: Array, precision: Array, mean: Array, size: Array, free: Bools) -> Moments:
-    """Information of a fit with equal weights, without prior: sums with N M^-1 N in place of N, where both are least.
+    """The sums of a fit with equal weights, N replaced by its information N M^-1 N, at the minimum with the prior.
 
     Parameters
     ----------
     plain
-        The sums of equal weights at their solution.
+        The sums with equal weights at their solution.
     power
         M ``(P, P)``, the covariance of the gradient.
     precision, mean, size, free

@@ -1,4 +1,4 @@
-"""The fit of one stage: weights that the residual shows, wrong rows left out, and what its errors are."""
+"""The fit of one stage: weights learned from the residual, outliers rejected, and standard errors."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ __all__ = [
     "without_outlying",
 ]
 
-OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
+OUTLIER_RATE = 0.01  # chance that any row of a clean table is rejected
 OUTLIER_PASSES = 3
-OUTLIER_FACTOR = 1.5  # of the farthest row that a fit has kept
-OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothing is rejected
-AGREEING_SHARE = 2.0 * OUTLIER_SHARE  # of what would be rejected, while it is asked whether most of it agrees
+OUTLIER_FACTOR = 1.5  # times the largest error of a fitted row: held-out rows farther off are outliers
+OUTLIER_SHARE = 0.05  # if more rows than this share look like outliers, an effect is missing and none is rejected
+AGREEING_SHARE = 2.0 * OUTLIER_SHARE  # share of suspected outliers up to which it is tested whether they agree
 CROSSING_PASSES = 2
-BAR_PASSES, BAR_MOVED = 3, 0.1  # standard errors of a certified distance
+BAR_PASSES, BAR_MOVED = 3, 0.1  # linearisations; the second in standard errors of a certified distance
 FIRST_FRICTION_STEP = 0.01  # of a motor's friction: prior standard deviation of the kept friction in the first search
 
 
@@ -54,17 +54,27 @@ def fit(
 ) -> Estimate:
     """Fit the problem's slots to its rows.
 
-    Weighted first by what the instrument states, then by what the residual shows, in two rounds; in between, rows
-    whose residual a clean table would show with a chance of 1 % are rejected, in at most three passes; but for rows of
-    poses that agree with each other (:mod:`clampid.fitting.agreeing`).
+    1. A fit with weights by the instrument's stated noise.
+    2. Outliers are rejected, in at most three passes: rows so far off that a clean table would have one with a chance
+    of
+       1 %. Rows of poses that agree with each other are kept (:mod:`clampid.fitting.agreeing`).
+    3. One or two fits with weights by the noise that the residual shows.
 
     Parameters
     ----------
+    problem
+        Rows and slots.
+    priors
+        Results of other stages.
+    start
+        Initial values of slots, SI; zero or declared ones by default.
+    reject
+        Whether outliers are rejected.
     noise
-        Kept throughout.
+        Noise that is used throughout, instead of being learned from the residual.
     weights
-        At first, instead of the instrument's: what another fit of the same rows has left. Where a model leaves much,
-        the instrument's would make a narrow valley of it, along which a search takes long.
+        Noise for the first fit, instead of the instrument's: the residual of another fit of the same rows. If a model
+        leaves large errors, the instrument's noise would make the cost a narrow valley, along which a search is slow.
 
     Raises
     ------
@@ -79,12 +89,12 @@ def fit(
     rejected = np.zeros(len(problem.rows), dtype=bool)
     model = noise or weights or initial_noise(problem.rows)
     theta = _kept_first(problem, theta, model, precision, mean)
-    early = not problem.kind.points or noise is not None  # else another search follows, with the noise learned
+    early = not problem.kind.points or noise is not None  # else another fit follows, with the noise learned
     shared = Shared()
     estimate = _past_clearances(solve(problem, theta, model, precision, mean, errors=early, shared=shared))
     whole, agreed = problem.rows, np.zeros(len(rejected), dtype=bool)
     for _ in range(OUTLIER_PASSES if reject else 0):
-        if problem.kind.points:  # a wrong row may have pulled others off that are right
+        if problem.kind.points:  # rejected rows are tested again: other outliers may have caused their errors
             bad = outlying(whole, estimate.residual) & ~agreed
         else:
             bad = rejected | outlying(problem.rows, _studentised(estimate))
@@ -111,9 +121,9 @@ def fit(
 
 
 def _along_bars(estimate: Estimate, priors: Sequence[Prior]) -> Estimate:
-    """The fit with certified distances linear about where their targets were found.
+    """The fit with certified distances linearised at the fitted positions of their targets.
 
-    About the nominal targets a distance of 0.2 m is wrong by 3 µm where one of them is off by a millimetre across it.
+    Linearised at the nominal positions, a distance of 0.2 m is wrong by 3 µm if a target is off by 1 mm sideways.
     """
     for _ in range(BAR_PASSES):
         rows = estimate.problem.rows
@@ -136,7 +146,7 @@ def _along_bars(estimate: Estimate, priors: Sequence[Prior]) -> Estimate:
 
 
 def agreeing_rows(estimate: Estimate) -> list[Agreement]:
-    """Rows of poses that are as far off as outliers are, but agree, so that they are none; of other stages none."""
+    """Groups of rows of poses as far off as outliers that agree with each other and are kept; none in other stages."""
     rows = estimate.problem.rows
     bad = estimate.outliers | outlying(rows, estimate.residual)
     if not rows.kind.points or bad.mean() > AGREEING_SHARE:
@@ -145,7 +155,7 @@ def agreeing_rows(estimate: Estimate) -> list[Agreement]:
 
 
 def _agreeing(rows: Rows, bad: Bools, residual: Array) -> Bools:
-    """Which of the rows that would be rejected agree with each other, so that a model may say what moves them."""
+    """Which of the rows that would be rejected ``(N,)`` agree with each other, so that they are kept."""
     out = np.zeros(len(rows), dtype=bool)
     if rows.kind.points:
         for found in agreement(rows, bad, lengths(residual)):
@@ -154,9 +164,16 @@ def _agreeing(rows: Rows, bad: Bools, residual: Array) -> Bools:
 
 
 def again(estimate: Estimate, problem: FitProblem, none: Sequence[int]) -> Estimate:
-    """The same pose fit of another problem with the same parameters and rows: noise, prior and outliers stay.
+    """The pose fit of another problem with the same parameters and rows; noise, prior and outliers are kept.
 
-    Frictions ``none`` stay at zero, for the reason that :mod:`clampid.fitting.unknown_friction` gives.
+    Parameters
+    ----------
+    estimate
+        The fit so far.
+    problem
+        The other problem.
+    none
+        Numbers of the slots of dry frictions that stay at zero (see :mod:`clampid.fitting.unknown_friction`).
     """
     found = without_unknown_friction(at_no_friction(replace(estimate, problem=problem), none))
     return replace(with_repeatability(found), outliers=estimate.outliers)
@@ -168,10 +185,10 @@ def _yields(problem: FitProblem) -> bool:
 
 
 def _kept_first(problem: FitProblem, theta: Array, noise: Noise, precision: Array, mean: Array) -> Array:
-    """Initial values for a clamped arm: fitted with the friction of motors at rest as their last motion left it.
+    """Initial values for a clamped arm, from a fit in which the friction of motors at rest hardly moves.
 
-    Otherwise springs and an unknown block would draw that friction to a local minimum in which other clearances are
-    crossed, and the search would stay there.
+    Without this step, springs and an unknown block pull that friction into a local minimum in which other clearances
+    are crossed, and the search stays there.
     """
     if not _yields(problem):
         return theta
@@ -182,7 +199,7 @@ def _kept_first(problem: FitProblem, theta: Array, noise: Noise, precision: Arra
 
 
 def _past_clearances(estimate: Estimate) -> Estimate:
-    """The estimate, or a likelier one, of a clamped arm whose joints at rest cross their clearances in other rows."""
+    """The fit of a clamped arm, or a likelier one in which joints at rest cross their clearances in other rows."""
     if not _yields(estimate.problem):
         return estimate
     noise, precision, mean = estimate.noise, estimate.prior_precision, estimate.prior_mean
@@ -191,23 +208,23 @@ def _past_clearances(estimate: Estimate) -> Estimate:
         if other is None:
             return estimate
         found = solve(estimate.problem, other, noise, precision, mean)
-        if not _unlikely(found) < _unlikely(estimate):
+        if not _minus_twice_log_evidence(found) < _minus_twice_log_evidence(estimate):
             return estimate
         estimate = found
     return estimate
 
 
-def _unlikely(estimate: Estimate) -> float:
-    """-2 log of the evidence of where a search has ended, by Laplace's approximation."""
+def _minus_twice_log_evidence(estimate: Estimate) -> float:
+    """-2 ln(evidence) of a local minimum, by Laplace's approximation, up to a constant."""
     size = estimate.problem.sizes()
     A = (estimate.point.matrix + estimate.prior_precision) * np.outer(size, size)
     return estimate.cost + float(np.linalg.slogdet(A)[1])
 
 
 def _absorbed(estimate: Estimate) -> Array | None:
-    """A square root ``(N, m, P + K)`` of the covariance of what a fit predicts; None in poses.
+    """A square root ``(N, m, P + K)`` of the covariance of a fit's predictions, for clamped sweeps; else None.
 
-    There every row has few neighbours and the noise one scale, so that what is absorbed is a count of parameters.
+    In other stages the share of the noise that a fit absorbs follows from the number of parameters.
     """
     if not estimate.problem.kind.solved:
         return None
@@ -219,12 +236,12 @@ def _absorbed(estimate: Estimate) -> Array | None:
 
 
 def _studentised(estimate: Estimate) -> Array:
-    """Residuals ``(N, m)`` of a log over what the fit leaves of each one's error (:mod:`clampid.fitting.leverage`)."""
+    """Studentised residuals ``(N, m)`` of a log (:mod:`clampid.fitting.leverage`); as they are in other stages."""
     problem, out = estimate.problem, estimate.residual.copy()
     if not problem.kind.moving:
         return out
     white = estimate.whitened
-    if estimate.noise.autocorrelations:  # leverage is that of rows, not of what is new in each
+    if estimate.noise.autocorrelations:  # leverage is that of the rows, not of the prewhitened ones
         white = Noise(estimate.noise.sigma).whiten(problem.rows, *problem.residual(estimate.theta))
     root = root_of_inverse(white.normal + estimate.prior_precision)
     out[white.entry, white.channel] /= share_left(white.jacobian, root)
@@ -232,10 +249,17 @@ def _studentised(estimate: Estimate) -> Array:
 
 
 def outlying(rows: Rows, residual: Array) -> Bools:
-    """Rows far beyond what a clean table would show; scales are medians, so that the outliers do not set them.
+    """Outliers ``(N,)``: rows with errors that a clean table would not show. Scales are medians, robust to outliers.
 
-    Outliers are single rows. Where most rows of a block of a sweep are off, something has happened there: with 5 % of
-    outliers, more than anyone would use, that is so by chance in one of 60,000 blocks.
+    Outliers are single rows. If most rows of a block of a sweep are off, an event has happened there, and they are
+    kept: with 5 % of outliers, more than any usable table has, one block in 60,000 is so by chance.
+
+    Parameters
+    ----------
+    rows
+        The rows.
+    residual
+        ``(N, m)``, SI.
     """
     out = np.zeros(len(rows), dtype=bool)
     for inside in map(list, rows.kind.channels(residual.shape[1])):
@@ -255,25 +279,27 @@ def outlying(rows: Rows, residual: Array) -> Bools:
 
 
 def without_outlying(rows: Rows, residual: Array, fitted: Rows, left: Array) -> Rows:
-    """Pose rows that no fit has seen, those that are wrong no longer used: as in a fit, if they are not too many.
+    """Held-out pose rows without outliers; unchanged if these are too many, as in a fit.
 
-    What a model lacks shows in such rows more than in those that were fitted. So they are wrong only if they are
-    clearly farther off than any row that the fit has kept, and if not most points of their visit are: what a model
-    lacks moves all of them, an instrument's error one.
+    Errors of held-out rows show a missing effect more than those of fitted rows. A row is therefore an outlier only if
+    it is clearly farther off than every fitted row, and if most points of its visit are not: a missing effect moves all
+    points of a visit, a wrong measurement moves one.
 
     Parameters
     ----------
-    residual, left
-        ``(N, m)`` and ``(M, m)``: of the prediction, and of the fitted rows.
+    rows, residual
+        The held-out rows, and measured less predicted ``(N, m)``.
+    fitted, left
+        The fitted rows, and their residuals ``(M, m)``.
     """
     known = fitted.used[:, :3].all(axis=1)
     most = OUTLIER_FACTOR * float(_distance(fitted, left)[known].max(initial=0.0))
     bad = outlying(rows, residual) & (_distance(rows, residual) > most)
     points = np.bincount(rows.unit, rows.used[:, :3].all(axis=1))[rows.unit]
-    bad &= (points < 2) | (np.bincount(rows.unit, bad)[rows.unit] <= points / 2)  # of one point nobody can say
+    bad &= (points < 2) | (np.bincount(rows.unit, bad)[rows.unit] <= points / 2)  # a single point has no majority
     return rows.without(bad) if bad.any() and bad.mean() <= OUTLIER_SHARE else rows
 
 
 def _distance(rows: Rows, residual: Array) -> Array:
-    """How far points are off ``(N,)``, in the instrument's standard deviations."""
+    """Errors of points ``(N,)``, in the instrument's standard deviations."""
     return np.asarray(np.linalg.norm(rows.in_noise_axes(residual)[:, :3] / rows.sigma[:, :3], axis=1))

@@ -1,11 +1,14 @@
-"""The fit of a torque log by passes over its windows: the results of `fitting.fit`, without holding the log.
+"""The fit of a torque log by passes over its windows: the results of `fitting.fit` without the whole log in memory.
 
-For effects linear in their parameters one pass sums the normal equations, another finds what the residual says of
-outliers and noise, two where the log is long; then the prewhitened equations are summed, again if that changes the
-noise, by parts, from which cross-validation has its fits too. Shape parameters take a pass for every step of damped
-Gauss-Newton.
-Source of the reduction: Golub & Van Loan, Matrix Computations (2013), section 5.3.8 (normal equations); they are
-balanced before they are solved, as everywhere here.
+If effects are linear in their parameters, the passes are:
+
+1. Sum the normal equations.
+2. Find outliers and noise from the residual (two passes for a long log).
+3. Sum the prewhitened normal equations, and again if the noise changes. They are summed for each part of the
+   cross-validation, so that its fits need no further pass.
+
+With shape parameters, each step of damped Gauss-Newton takes a pass. Source of the reduction: Golub & Van Loan, Matrix
+Computations (2013), section 5.3.8 (normal equations). The equations are balanced before they are solved.
 """
 
 from __future__ import annotations
@@ -41,14 +44,23 @@ __all__ = [
     "weighted",
 ]
 
-LEAST_ROWS_OF_A_MOTOR = 20  # rows of a motor from which a median says what an outlier is
+LEAST_ROWS_OF_A_MOTOR = 20  # with fewer rows, no outliers of a motor are rejected: their median is too uncertain
 
 
 @dataclass(frozen=True)
 class LogNoise:
-    """Standard deviations of the motors ``(n,)``, Nm, and its autocorrelations; none for white noise.
+    """Noise of a log's motors.
 
-    Of logs that are logged more densely than their design can follow both are those of groups of rows.
+    If rows are averaged in groups, because they are denser than the design needs, it is the noise of groups.
+
+    Attributes
+    ----------
+    sigma
+        Standard deviations ``(n,)``, Nm.
+    autocorrelations
+        For each motor its autocorrelation by lag; empty for white noise.
+    counts
+        For each motor the number of rows that these are from.
     """
 
     sigma: Array
@@ -56,14 +68,14 @@ class LogNoise:
     counts: tuple[float, ...] = ()
 
     def settled(self, again: LogNoise) -> bool:
-        """As `clampid.fitting.noise.Noise.settled`."""
+        """Whether noise learned ``again`` is the same within its error; see `clampid.fitting.noise.Noise.settled`."""
         ratios = again.sigma / self.sigma
         channels = zip(ratios, self.autocorrelations, again.autocorrelations, again.counts, strict=True)
         return all(settled(*channel) for channel in channels)
 
     @cached_property
     def predictors(self) -> tuple[Predictors, ...]:
-        """What whitens each motor's noise."""
+        """The prewhitening filter of each motor."""
         return tuple(Predictors(a) for a in self.autocorrelations)
 
 
@@ -76,13 +88,13 @@ class LogFit:
     moments
         The prewhitened sums at the solution.
     noise
-        What weighted the rows.
+        The noise by which the rows were weighted.
     outliers
-        Rows of the log rejected, in order.
+        Numbers of the rejected rows of the log, ascending.
     part
-        ``(F,)``: into which parts the folds were divided, if they were.
+        ``(F,)``: part of the cross-validation that each fold belongs to; None without parts.
     sums
-        Part → the prewhitened sums over its rows, where the design is.
+        Part → the prewhitened sums over its rows, at the design's parameters.
     """
 
     moments: Moments
@@ -93,7 +105,7 @@ class LogFit:
 
 
 def used_of(channel: Channel, folds: Bools, outliers: Integers) -> tuple[Integers | slice, int]:
-    """Which of a channel's rows are in the folds ``(F,)`` and not rejected; how many of them the window before has."""
+    """A channel's rows in the folds ``(F,)`` that are no outliers, and how many of them belong to the window before."""
     if folds.all() and not len(outliers):
         return slice(None), channel.own
     inside = folds[channel.fold]
@@ -105,7 +117,7 @@ def used_of(channel: Channel, folds: Bools, outliers: Integers) -> tuple[Integer
 
 @dataclass(frozen=True)
 class LogPrior:
-    """The prior of a fit and what it keeps to: ``(P + K, P + K)``, ``(P + K,)``, SI."""
+    """The prior of a fit and its bounds: precision ``(P + K, P + K)``, mean ``(P + K,)``, limits; SI."""
 
     precision: Array
     mean: Array
@@ -117,7 +129,7 @@ class LogPrior:
         return self.limits.size
 
     def free(self, theta: Array) -> Bools:
-        """Which parameters ``(P + K,)`` do not rest on a bound."""
+        """Which parameters ``(P + K,)`` are not at a bound."""
         return np.asarray(~self.limits.resting(theta))
 
 
@@ -129,14 +141,20 @@ class _PartedPoint(LogPoint):
 
 
 def fit_log(design: LogDesign, folds: Bools, prior: LogPrior, start: Array, part: Integers | None = None) -> LogFit:
-    """Fit the rows of some folds ``(F,)``; weighting and rejection as in `clampid.fitting.fit.fit`.
+    """Fit the rows of some folds; weights and outliers as in `clampid.fitting.fit.fit`.
 
     Parameters
     ----------
+    design
+        The log's design; afterwards its parameters are those of the solution.
+    folds
+        ``(F,)``: which folds are fitted.
+    prior
+        Prior and bounds.
     start
-        ``(P + K,)``, SI.
+        Initial values ``(P + K,)``, SI.
     part
-        ``(F,)``: into which parts the folds are divided for cross-validation; by default all are of part 0.
+        ``(F,)``: part of the cross-validation that each fold belongs to; by default all are of part 0.
 
     Raises
     ------
@@ -153,7 +171,7 @@ def fit_log(design: LogDesign, folds: Bools, prior: LogPrior, start: Array, part
     noise: LogNoise | None = None
     for _ in range(OUTLIER_PASSES):
         root = root_of_inverse(found.normal + prior.precision)
-        bad, noise = _looked(design, folds, outliers, found.at, root)
+        bad, noise = _outliers_and_noise(design, folds, outliers, found.at, root)
         if not len(bad) or (len(bad) + len(outliers)) / rows > OUTLIER_SHARE:
             break
         outliers, noise = np.union1d(outliers, bad), None
@@ -176,9 +194,9 @@ def weighted(
     start: Array,
     part: Integers | None = None,
 ) -> tuple[Moments, dict[int, Moments]]:
-    """Fit the rows that are no outliers with weights that are known: the sums at the solution, and those of the parts.
+    """Fit the rows without outliers, with known noise: the sums at the solution, and those of each part.
 
-    Parameters and errors as in :func:`fit_log`.
+    ``outliers`` are row numbers, ascending. Other parameters and errors as in :func:`fit_log`.
     """
 
     def at(here: Array) -> _PartedPoint:
@@ -206,12 +224,18 @@ def summed(
     noise: LogNoise,
     part: Integers | None = None,
 ) -> dict[int, Moments]:
-    """Whitened sums where the design is, of all rows or per part of the folds.
+    """Whitened sums over the rows of some folds, at the design's parameters, for each part.
 
     Parameters
     ----------
+    design, folds
+        The log, and which folds count ``(F,)``.
+    outliers
+        Numbers of rows that do not count, ascending.
+    noise
+        Weights the rows; if it has autocorrelations, the rows are prewhitened.
     part
-        ``(F,)``: which part each fold is of; by default all are of part 0.
+        ``(F,)``: part that each fold belongs to; by default all are of part 0.
     """
     parts = np.unique(part[folds]) if part is not None else np.zeros(1, dtype=np.int64)
     out = {int(p): Moments.none(design.at) for p in parts}
@@ -236,10 +260,12 @@ def summed(
 
 @dataclass(frozen=True)
 class Residuals:
-    """Residuals of one motor's rows that count in a window; the first ``own`` are of the window before.
+    """Residuals of one motor's rows that count in a window; the first ``own`` rows belong to the window before.
 
     Attributes
     ----------
+    block, motor
+        The window, and the motor from 0.
     row, stretch, fold
         ``(k,)``, as in `Channel`.
     values
@@ -259,13 +285,13 @@ class Residuals:
 
     @property
     def groups(self) -> Grouping:
-        """What of these rows is taken together."""
+        """The groups in which these rows are averaged."""
         if isinstance(self._used, slice):
             return self._channel.groups
         return Grouping.of(self.row, self.stretch, self._channel.together)
 
     def studentised(self, root: Array) -> Array:
-        """The own rows' values ``(k - own,)`` over what a fit of weight one leaves of their errors.
+        """Studentised residuals ``(k - own,)`` of this window's rows, by a fit with unit weights.
 
         ``root``: :func:`clampid.fitting.leverage.root_of_inverse` of its normal matrix.
         """
@@ -273,16 +299,20 @@ class Residuals:
         return np.asarray(self.values[self.own :] / share_left(jacobian, root[self._channel.columns]))
 
     def at(self, theta: Array, part: Integers) -> Array:
-        """The same ``(k,)`` at the parameters ``(parts, P + K)`` of the part that each fold ``(F,)`` is of."""
+        """Residuals ``(k,)``, Nm, each with the parameters of its fold's part.
+
+        ``theta``: ``(parts, P + K)``; ``part``: ``(F,)``, the part of each fold.
+        """
         both, columns = self._channel.both[self._used], self._channel.columns
         every = both[:, :-1] @ (theta - self._design_at)[:, columns].T
         return np.asarray(both[:, -1] - every[np.arange(len(every)), part[self.fold]])
 
 
 def residuals(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> Iterator[list[Residuals]]:
-    """Measured less predicted torques of the rows that count, window by window; of each, motor by motor.
+    """Measured less predicted torques, Nm, window by window, with an entry for each motor.
 
-    ``theta``: ``(P + K,)``.
+    ``folds`` ``(F,)``: which folds count; ``outliers``: numbers of rows that do not count, ascending; ``theta``:
+    parameters ``(P + K,)``, SI.
     """
     for block in design:
         found = []
@@ -295,14 +325,14 @@ def residuals(design: LogDesign, folds: Bools, outliers: Integers, theta: Array)
         yield found
 
 
-class _Memory:
-    """Products of residuals, from which scale and autoregression of each motor's noise follow."""
+class _LagProducts:
+    """Sums of products of residuals by lag, from which each motor's noise and its autocorrelation follow."""
 
     def __init__(self, n: int) -> None:
         self.products, self.pairs = np.zeros((2, n, ORDER + 1))
 
     def add(self, found: Sequence[Residuals]) -> None:
-        """Add a window's."""
+        """Add the residuals of a window."""
         for r in found:
             groups = r.groups
             sums, counts = lag_products(groups.mean(r.values), groups.row, groups.stretch, groups.own(r.own))
@@ -310,25 +340,25 @@ class _Memory:
             self.pairs[r.motor] += counts
 
     def noise(self) -> LogNoise:
-        """As `clampid.fitting.noise.learn_noise` finds it."""
+        """The noise, as `clampid.fitting.noise.learn_noise` computes it."""
         sigma = np.maximum(np.sqrt(self.products[:, 0] / np.maximum(self.pairs[:, 0], 1)), 1e-12)
         autocorrelations = tuple(autocorrelation(p, k) for p, k in zip(self.products, self.pairs, strict=True))
         return LogNoise(np.where(self.pairs[:, 0] > 0, sigma, 1.0), autocorrelations, tuple(self.pairs[:, 0]))
 
 
-def _looked(
+def _outliers_and_noise(
     design: LogDesign, folds: Bools, outliers: Integers, theta: Array, root: Array
 ) -> tuple[Integers, LogNoise]:
-    """Rows far beyond what a clean table would show, as in `fitting.fit`, and the noise, for where there are none.
+    """Outliers, by the rule of `clampid.fitting.fit.outlying`, and the noise of the rows, outliers included.
 
-    ``root``: of the inverse of the normal matrix at these parameters.
+    ``root``: square root of the inverse normal matrix at these parameters.
     """
     count, largest = np.zeros((2, design.n))
-    memory: _Memory | None = None
+    memory: _LagProducts | None = None
 
     def sizes() -> Iterator[list[Array]]:
         nonlocal memory
-        first, kept = memory is None, _Memory(design.n)
+        first, kept = memory is None, _LagProducts(design.n)
         for found in residuals(design, folds, outliers, theta):
             piece = [np.abs(r.studentised(root)) for r in found]
             if first:
@@ -348,19 +378,19 @@ def _looked(
             for found in residuals(design, folds, outliers, theta)
             for r in found
         ]
-    return np.unique(np.concatenate(bad)), (memory or _Memory(design.n)).noise()
+    return np.unique(np.concatenate(bad)), (memory or _LagProducts(design.n)).noise()
 
 
 def learned(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> LogNoise:
-    """The noise that the residuals of some folds ``(F,)`` show at the parameters ``(P + K,)``."""
-    memory = _Memory(design.n)
+    """The noise learned from the residuals of some folds ``(F,)`` at the parameters ``theta`` ``(P + K,)``."""
+    memory = _LagProducts(design.n)
     for found in residuals(design, folds, outliers, theta):
         memory.add(found)
     return memory.noise()
 
 
 def _whitener(channel: Channel, used: Integers | slice) -> tuple[Grouping, Whitener]:
-    """What of some of a channel's rows is taken together, and its filter."""
+    """The groups in which a channel's rows are averaged, and their prewhitening filter."""
     if isinstance(used, slice):
         return channel.groups, channel.whitener
     groups = Grouping.of(channel.row[used], channel.stretch[used], channel.together)

@@ -1,12 +1,12 @@
-"""Flanks that follow the loads: a gear rests where its torque presses, and the torque depends on what is fitted.
+"""Flanks that follow the loads: a gear is in contact on the flank to which its torque presses it.
 
-The cost jumps where a joint's load changes its side, so that no step can be taken across. Flanks are frozen in each
-search, and follow between searches until they stay. If a load is about zero they may cycle: with the flank frozen on
-one side the fit moves the load to the other, and back. Then the fit of least cost is kept; each cost is computed on the
-fit's own flanks, as its predictions will be.
+The torque depends on the fitted parameters, and the cost jumps where a joint's load changes its sign. Flanks are
+therefore frozen during each search, and updated between searches until they no longer change. If a load is close to
+zero they may cycle: with the flank frozen on one side, the fit moves the load to the other side, and back. Then the fit
+with the smallest cost is kept. Each cost is computed on the flanks of its own fit.
 
-An unloaded joint shows the product of its spring's compliance and its friction, so that both below zero fit as well as
-both above, but for the flanks. A search that began on the wrong side ends there; its mirror image is another start.
+An unloaded joint shows only the product of its compliance and its friction. Except for the flanks, both negative fit as
+well as both positive. A search that started on the wrong side ends there; its mirror image is another start.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from clampid.stages.rows import Array
 __all__ = ["mirrored", "settled"]
 
 FLANK_ROUNDS = 8
-SAGS = 1e-5  # of the largest: what loads follow of where the arm stands is a few thousandths of them again
+SAG_TOLERANCE = 1e-5  # of the largest torque by sag, which itself is a few thousandths of the loads
 
 
 class Found(Protocol):
-    """What a search has found."""
+    """The result of a search."""
 
     @property
     def theta(self) -> Array:
-        """Where ``(P,)``."""
+        """The parameter vector ``(P,)``, SI."""
 
 
 FoundT = TypeVar("FoundT", bound=Found)
@@ -43,20 +43,22 @@ def settled(
     search: Callable[[Frozen, Array], FoundT],
     cost: Callable[[Frozen, Array], float],
 ) -> FoundT:
-    """Search with flanks frozen, from ``start`` ``(P,)``, for at most `FLANK_ROUNDS` rounds.
+    """The result of searches with frozen flanks, repeated until the flanks stay, at most `FLANK_ROUNDS` times.
 
     Parameters
     ----------
+    start
+        Initial values ``(P,)``, SI.
     frozen_at
-        The experiments with flanks frozen where a parameter vector puts them.
+        Gives the problems with flanks frozen as a parameter vector determines them.
     search
-        The lowest point downhill from a parameter vector, flanks frozen.
+        Gives the local minimum from a parameter vector, with frozen flanks.
     cost
-        What a parameter vector costs, prior included.
+        Gives the cost of a parameter vector with frozen flanks, prior included.
     """
     frozen = frozen_at(start)
     found = search(frozen, start)
-    # Of the searches before the last one only their ends are kept: all that was found there is as large as the rows.
+    # Of earlier searches only the parameter vector is kept: the whole result needs as much memory as the rows.
     seen, ends = [frozen], [found.theta]
     for _ in range(FLANK_ROUNDS):
         moved = frozen_at(found.theta)
@@ -73,7 +75,7 @@ def settled(
 
 
 def mirrored(trial: FitProblem, theta: Array) -> Array | None:
-    """The parameters ``(P,)`` with springs and friction above zero at joints where both are below; None if at none."""
+    """The parameters ``(P,)`` with springs and friction made positive where both are negative; else None."""
     if not trial.chain.reads_flanks:
         return None
     below: dict[str, dict[str, list[int]]] = {"friction": {}, "spring": {}}
@@ -93,7 +95,8 @@ def mirrored(trial: FitProblem, theta: Array) -> Array | None:
 
 def _same(a: Frozen, b: Frozen) -> bool:
     return all(
-        x is y or (_alike(x, y, "flank", 0.0) and _alike(x, y, "sag_torque", SAGS)) for x, y in zip(a, b, strict=True)
+        x is y or (_alike(x, y, "flank", 0.0) and _alike(x, y, "sag_torque", SAG_TOLERANCE))
+        for x, y in zip(a, b, strict=True)
     )
 
 

@@ -1,12 +1,12 @@
-"""Where a pose fit begins with the joints' dry friction: past the flips of flanks that a search cannot cross.
+"""Initial values of the joints' dry friction in a pose fit, chosen among the flanks that different values give.
 
-Friction F and load decide together on which flank a joint rests after a stop, s = sign(load + F dir), and a fit holds
-the flanks while it searches. Rows whose flank is wrong at the start pull F to where it is wrong still: every such fixed
-point is a local minimum. So a few frictions between none and the joint's heaviest load are tried at each joint that
-nothing is known of, each with the flanks that it gives, and the best is where the fit begins.
+After a stop, friction F and load determine the flank on which a joint rests: s = sign(load + F dir). A fit keeps the
+flanks frozen while it searches. Rows with a wrong initial flank pull F to a value with the same wrong flank: each such
+fixed point is a local minimum. Therefore a few frictions between zero and the joint's largest load are tried at each
+joint with unknown friction, each with its own flanks. The best one is the initial value.
 
-This is for poses without torque logs, whose loads are only what the description says. Where logs determine the loads
-beside which flanks determine friction, :mod:`clampid.fitting.rest_friction` seeks it apart from all else, and holds it.
+This is for poses without torque logs, whose loads come from the description only. If logs determine the loads,
+:mod:`clampid.fitting.rest_friction` estimates friction from the flanks separately, and fixes it.
 """
 
 from __future__ import annotations
@@ -25,14 +25,23 @@ from clampid.stages.rows import Array
 
 __all__ = ["with_friction_start"]
 
-SHARES_OF_ROWS = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # of the rows: loads that a friction tried at a joint is as large as
+SHARES_OF_ROWS = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # quantiles of a joint's loads over the rows: the frictions tried
 START_PASSES = 2
 
 
 def with_friction_start(
     problem: FitProblem, priors: Sequence[Prior], start: Mapping[Slot, float]
 ) -> Mapping[Slot, float]:
-    """Initial values of all slots for a fit in which only the poses identify a friction.
+    """Initial values of all slots, SI, for a fit in which only the poses identify a friction.
+
+    Parameters
+    ----------
+    problem
+        Rows of poses, and slots.
+    priors
+        Results of other stages; frictions that they determine are not varied.
+    start
+        Initial values so far; frictions among them are not varied.
 
     Raises
     ------
@@ -58,7 +67,7 @@ def with_friction_start(
 
 
 def _past_flips(estimate: Estimate, friction: int) -> Estimate:
-    """The estimate, or a better one that begins with another value of one joint's friction."""
+    """The estimate, or a better one from another initial value of one joint's friction (slot number ``friction``)."""
     problem, limits = estimate.problem, limits_of(estimate.problem)
     joint = int(problem.slots[friction].place.removeprefix("joint")) - 1
     none = estimate.theta.copy()
@@ -90,7 +99,7 @@ def _flanks(problem: FitProblem, theta: Array) -> Array:
 
 
 def _step(estimate: Estimate, theta: Array, limits: Limits) -> tuple[Array, float]:
-    """One Newton step from ``theta`` with the flanks frozen there, and the cost that it promises."""
+    """One Gauss-Newton step from ``theta`` with its flanks frozen: the new parameters, and the predicted cost."""
     point = stage_point(estimate.problem.with_flanks(theta), estimate.noise, theta)
     A, g = point.normal()
     off = theta - estimate.prior_mean

@@ -1,11 +1,11 @@
-"""Gauge: which geometric parameters of a robot can be separated at all, whatever is measured.
+"""Gauge freedom: which geometric parameters of a robot are independent, whatever postures are measured.
 
-Turning a link's far end about the joint before it is the same as an offset of that joint, and so on: a chain of n
-revolute joints has 4 n + 6 independent numbers, far fewer than 6 per link. The choice is made by rank: parameters are
-taken in a fixed order (anchors, base, flange or targets, then link by link), and one that adds nothing new over random
-postures is left at zero, where it costs nothing. Where distances alone are measured, that is all of the base: moving it
-is the same as moving the anchors. What a campaign states of base and targets is information like what rows would have:
-where the base is known, a motion of link 1 is the robot's own, and is kept.
+A rotation of a link's far end about the joint before it is the same as an offset of that joint, and so on. A chain of n
+revolute joints has 4 n + 6 independent parameters, far fewer than 6 for each link. They are chosen by rank: parameters
+are taken in a fixed order (anchors, base, flange or targets, then link by link). One whose column depends linearly on
+those before it, over random postures, is fixed at zero. If only distances are measured, these are all parameters of the
+base: moving the base is the same as moving the anchors. Stated positions of base and targets count like measured rows:
+if the base is known, a motion of link 1 is the robot's own, and is kept.
 """
 
 from __future__ import annotations
@@ -25,16 +25,23 @@ from clampid.stages.statements import stated_equations
 
 __all__ = ["independent_geometry"]
 
-NEW = 1e-5  # a column whose new part is less than this share of it is a combination of those before it
+INDEPENDENT = 1e-5  # relative length of a column's part that is new: below this it is a combination of those before it
 POSTURES = 60
-ABOUT = 2.0  # m: anchors stand somewhere about the robot
+ANCHOR_RANGE = 2.0  # m: random anchors lie within this distance of the base along each axis
 
 
 def independent_geometry(rows: Rows, effects: Mapping[str, Effect]) -> tuple[Slot, ...]:
-    """The independent slots of the geometry for the targets, anchors and sessions that the rows have.
+    """The independent slots of the geometry for the targets, anchors and sessions of the rows.
 
-    The rows' own postures do not matter, nor where anchors stand: random ones stand in for them, so that what is left
-    out is left out for the robot's sake and not for a poor campaign's.
+    Random postures and anchors replace those of the rows. So a slot is left out only for a gauge freedom of the robot,
+    not because the campaign has too few postures.
+
+    Parameters
+    ----------
+    rows
+        Rows of poses.
+    effects
+        All known effects, by name.
     """
     slots = _ordered(slots_of(effect_with("link_frame", effects), rows.layout))
     if not rows.oriented:  # points and distances alone: targets carry the tool
@@ -48,7 +55,7 @@ def independent_geometry(rows: Rows, effects: Mapping[str, Effect]) -> tuple[Slo
     upper = np.where(np.isfinite(robot.upper), robot.upper, np.pi)
     q = rng.uniform(np.maximum(lower, -np.pi), np.minimum(upper, np.pi), (len(chosen), robot.n))
     sample = rows.take(chosen)
-    anchor = sample.signals["anchor_is"] @ rng.uniform(-ABOUT, ABOUT, (len(rows.layout.anchors), 3))
+    anchor = sample.signals["anchor_is"] @ rng.uniform(-ANCHOR_RANGE, ANCHOR_RANGE, (len(rows.layout.anchors), 3))
     constants = replace(sample.pose, anchor=anchor)
     sample = replace(sample, signals={**sample.signals, "q": q}, constants=constants)
     trial = fit_problem(sample, effects, slots)
@@ -64,14 +71,14 @@ def independent_geometry(rows: Rows, effects: Mapping[str, Effect]) -> tuple[Slo
             continue
         rest = column - basis @ (basis.T @ column)
         rest -= basis @ (basis.T @ rest)
-        if np.linalg.norm(rest) > NEW * length:
+        if np.linalg.norm(rest) > INDEPENDENT * length:
             basis = np.c_[basis, rest / np.linalg.norm(rest)]
             kept.append(slot)
     return tuple(kept)
 
 
 def _stated(rows: Rows, slots: tuple[Slot, ...], size: Array, jacobian: Array) -> Array:
-    """What is known beforehand, as rows ``(m, P)`` about as large as those measured: which directions, not how well."""
+    """Stated positions as rows ``(m, P)``, scaled to the size of measured rows: only their directions matter."""
     at, matrix, _ = stated_equations(rows.constants.stated, {slot: k for k, slot in enumerate(slots)})
     out = np.zeros((len(matrix), len(slots)))
     out[:, at] = matrix * size[at]
@@ -80,7 +87,7 @@ def _stated(rows: Rows, slots: tuple[Slot, ...], size: Array, jacobian: Array) -
 
 
 def _ordered(slots: tuple[Slot, ...]) -> tuple[Slot, ...]:
-    """Anchors, base, flange, targets, then link by link, shifts before turns."""
+    """Slots in the order of choice: anchors, base, flange, targets; then links, translations before rotations."""
     before: tuple[Role, ...] = ("anchor_point", "base_frame", "flange_frame", "target_point")
 
     def key(slot: Slot) -> tuple[int, str, int]:

@@ -24,9 +24,9 @@ AXES = ("rx", "ry", "rz", "x", "y", "z")
 
 
 def with_kept_friction(estimate: Estimate) -> Estimate:
-    """The same fit; the covariance of its slips includes the unknown friction of motors at rest.
+    """The fit with the unknown friction of motors at rest included in the covariance of its slips.
 
-    Unchanged where no slip is fitted. Torques about the arm's joints are related to those at the motors by T.
+    Unchanged if no slip is fitted. The transmission T relates torques about the arm's joints to those at the motors.
     """
     effects = estimate.problem.effects
     covariance = estimate.covariance.copy()
@@ -40,7 +40,10 @@ def with_kept_friction(estimate: Estimate) -> Estimate:
 
 
 def _open(estimate: Estimate, at: float) -> Array:
-    """Second moment ``(6, 6)`` of what a slip at that ``sweep_progress`` may differ by, (w, v), rad and m."""
+    """Second moment ``(6, 6)`` of a slip's error by unknown friction, (rotation, translation), rad and m.
+
+    ``at``: time of the slip as a value of ``sweep_progress``.
+    """
     problem, n = estimate.problem, estimate.problem.rows.robot.n
     rows, count = problem.rows, len(estimate.slots)
     mine = np.flatnonzero(rows.series.run == int(at))

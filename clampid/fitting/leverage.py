@@ -1,9 +1,9 @@
-"""Leverage: how much a row decides its own prediction, and residuals in units of what it leaves of their error.
+"""Leverage of rows, and studentised residuals.
 
-The residual of a row is as small as its leverage h is near one, whatever was measured: r = (1 - h) d, where d is what
-the fit without that row mispredicts. A wrong row of large leverage therefore hides in its own residual. Divided by
-sqrt(1 - h) all residuals have one variance, and it shows (studentised residuals; Cook & Weisberg, Residuals and
-Influence in Regression, 1982, section 2.1).
+With leverage h, a row's residual is r = (1 - h) d, where d is the error of the prediction by a fit without that row. An
+outlier of large leverage therefore has a small residual. Divided by sqrt(1 - h), all residuals have the same variance
+(studentised residuals), and the outlier shows. Source: Cook & Weisberg, Residuals and Influence in Regression, 1982,
+section 2.1.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from clampid.stages.rows import Array
 
 __all__ = ["root_of_inverse", "share_left"]
 
-LEAST_SHARE = 1e-12  # rounding: a row that alone decides a parameter leaves nothing, and is zero over zero
-RESOLVED = 1e-12  # of the largest eigenvalue of a balanced normal matrix
+LEAST_SHARE = 1e-12  # of 1 - h: zero for a row that alone determines a parameter, whose residual is zero too
+RESOLVED = 1e-12  # eigenvalue of a balanced normal matrix over the largest one: below this it counts as zero
 
 
 def root_of_inverse(normal: Array) -> Array:
-    """Return R ``(P, k)`` with R Rᵀ the inverse of a normal matrix ``(P, P)``, but for what no row shows."""
+    """R ``(P, k)`` with R Rᵀ the pseudo-inverse of a normal matrix ``(P, P)``."""
     size = np.sqrt(np.maximum(np.diag(normal), 0.0))
     balance = np.where(size > 0.0, 1.0 / np.maximum(size, 1e-300), 0.0)
     values, vectors = linalg.eigh(normal * np.outer(balance, balance))
@@ -29,10 +29,12 @@ def root_of_inverse(normal: Array) -> Array:
 
 
 def share_left(jacobian: Array, root: Array) -> Array:
-    """Return sqrt(1 - h) ``(k,)`` of rows with the whitened Jacobian ``(k, P)``: their residual's share of its error.
+    """sqrt(1 - h) ``(k,)`` of rows: divided by it, their residuals are studentised.
 
     Parameters
     ----------
+    jacobian
+        Whitened, ``(k, P)``.
     root
         ``(P, c)``: :func:`root_of_inverse` of the normal matrix with its prior.
     """

@@ -14,13 +14,13 @@ from clampid.stages.rows import Array, Bools, Integers, Rows
 
 __all__ = ["cross_fitted", "log_errors", "parts_of"]
 
-LEAST_TRIPLES = 20  # triples of rows from which noise is read
+LEAST_TRIPLES = 20  # triples of rows from which noise is estimated
 _NONE = np.zeros(0, dtype=np.int64)
 
 
 @dataclass
 class _Squares:
-    """Sums of squares of the motors' residuals ``(n,)``, Nm², and how many there are."""
+    """Sums of squares of the motors' residuals ``(n,)``, Nm², and their numbers ``(n,)``."""
 
     squares: Array
     count: Array
@@ -41,7 +41,7 @@ class _Squares:
 
 @dataclass
 class _Floor:
-    """How residuals bend over some rows: their noise, whatever varies slowly; see `accuracy.noise_floor`."""
+    """Sums of squared second differences of residuals, for the noise floor; see `accuracy.noise_floor`."""
 
     lag: int
     n: int
@@ -55,7 +55,7 @@ class _Floor:
         self.run, self.last = np.zeros(0, dtype=np.int64), np.zeros((0, self.n))
 
     def add(self, run: Integers, residual: Array) -> None:
-        """Rows that follow on those before: runs ``(k,)``, residuals ``(k, n)``, NaN where a number does not count."""
+        """Add consecutive rows: runs ``(k,)``, residuals ``(k, n)``, Nm, NaN where a number does not count."""
         self.run, self.last = np.r_[self.run, run], np.vstack([self.last, residual])
         lag = self.lag
         if len(self.run) <= 2 * lag:
@@ -70,16 +70,20 @@ class _Floor:
 def log_errors(
     design: LogDesign, fit: LogFit, prior: LogPrior, folds: Rows, kept: Bools, some_held_out: bool, seed: int
 ) -> StageErrors:
-    """Errors on fitted and held-out rows: the folds kept out, else cross-validation, in units of the motors' noise.
+    """Errors on fitted and held-out rows (folds held out, else cross-validation), in units of the motors' noise.
 
     Parameters
     ----------
+    design, fit, prior
+        The log, its fit, and the prior of that.
     folds
-        One row per fold ``(F,)``.
+        One row for each fold ``(F,)``.
     kept
         Which folds were fitted ``(F,)``.
     some_held_out
-        Whether the others were held out on purpose.
+        Whether the other folds are held-out rows; else cross-validation is used.
+    seed
+        For the division into parts.
     """
     if some_held_out:
         white = summed(design, ~kept, _NONE, LogNoise(np.ones(design.n)))[0]
@@ -115,9 +119,9 @@ def _noise_floor(floor: _Floor, fitted: _Squares) -> Array:
 
 
 def parts_of(folds: Rows, kept: Bools, seed: int) -> Integers:
-    """Which of five parts of a cross-validation each fold ``(F,)`` is of; 0 where it is not fitted.
+    """Number (0 to 4) of the cross-validation part of each fold ``(F,)``; 0 for folds that are not fitted.
 
-    ``folds``: one row per fold.
+    ``folds``: one row for each fold; ``kept`` ``(F,)``: which are fitted.
     """
     inside = folds.take(np.flatnonzero(kept))
     order = inside.shuffled_folds(seed)
@@ -128,7 +132,7 @@ def parts_of(folds: Rows, kept: Bools, seed: int) -> Integers:
 
 
 def cross_fitted(design: LogDesign, fit: LogFit, prior: LogPrior, kept: Bools, part: Integers) -> Array:
-    """Parameters ``(parts, P + K)`` that fits without each part give, with that part's own offsets."""
+    """Parameters ``(parts, P + K)``, SI, of fits without each part, with offsets fitted to that part."""
     alike = fit.part is not None and np.array_equal(part[kept], fit.part[kept])
     sums = fit.sums if alike else summed(design, kept, fit.outliers, fit.noise, part)
     theta = []
@@ -145,7 +149,7 @@ def cross_fitted(design: LogDesign, fit: LogFit, prior: LogPrior, kept: Bools, p
 
 
 def _with_offsets(design: LogDesign, moments: Moments, theta: Array, prior: LogPrior, folds: Bools) -> Array:
-    """Parameters ``(P + K,)`` with the offsets that rows not fitted show, as `accuracy.predicted` does."""
+    """Parameters ``(P + K,)`` with offsets fitted to the held-out rows, as in `accuracy.predicted`."""
     count = len(design.chain.slots)
     full: Array = np.r_[theta[:count], np.zeros(len(theta) - count)]
     if not folds[design.offset_keys[:, 0]].any():

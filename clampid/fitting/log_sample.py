@@ -1,4 +1,4 @@
-"""Some rows of a long log's design, spread over it: enough to see what depends on what."""
+"""A sample of rows spread over a long log's design: enough to determine which columns are linearly dependent."""
 
 from __future__ import annotations
 
@@ -16,28 +16,30 @@ from clampid.stages.rows import Array, Integers, Rows
 
 __all__ = ["MOST_ROWS", "sampled_columns", "sampled_postures", "sampled_rows"]
 
-MOST_ROWS = 600  # what depends on what is a matter of postures, not of rows
+MOST_ROWS = 600  # linear dependence of columns depends on the postures, and more rows add no new ones
 
 
 def sampled_columns(
     design: LogDesign, parts: Sequence[LogPart], slots: Sequence[Slot], sigma: Array, at_rest: bool
 ) -> tuple[Array, Array]:
-    """The derivative of the prediction in the rows of the design's sample, over the noise.
+    """The Jacobian of the prediction in the design's sample of rows, over the noise.
 
     Parameters
     ----------
     design, parts
         The log.
+    slots
+        The fitted slots, in the order of the columns.
     sigma
         Standard deviation of the motors' noise ``(n,)``, Nm.
     at_rest
-        Masses and first moments as in rest: the little acceleration of steady rows must not blur what gravity cannot
-        separate.
+        Whether columns of masses and first moments are those of the arm at rest. The small accelerations of steady rows
+        would make parameters look separable that gravity cannot separate.
 
     Returns
     -------
     Array, Array
-        Of the slots ``(M, P)`` and of the runs' offsets ``(M, K)``.
+        Columns of the slots ``(M, P)`` and of the runs' offsets ``(M, K)``.
     """
     row, motor, values = [], [], []
     for part in design.sample():
@@ -54,14 +56,14 @@ def sampled_columns(
 
 
 def sampled_rows(rows: Rows) -> Integers:
-    """Numbers of the rows of a log read whole that stand for all."""
+    """Numbers of at most :data:`MOST_ROWS` evenly spread rows of a log that is in memory."""
     usable = np.flatnonzero(rows.used.any(axis=1))
     even = np.linspace(0, len(usable) - 1, min(MOST_ROWS, len(usable)))
     return np.asarray(usable[np.unique(even.astype(int))])
 
 
 def sampled_postures(design: LogDesign, parts: Sequence[LogPart]) -> tuple[Integers, Integers, Array]:
-    """The sample's rows of the log ``(M,)``, their motors ``(M,)``, and where the joints are ``(M, n)``, rad."""
+    """The sample's row numbers in the log ``(M,)``, their motors ``(M,)``, and joint angles ``(M, n)``, rad."""
     found = design.sample()
     row = np.concatenate([part.row for part in found])
     motor = np.concatenate([np.full(len(part.row), part.motor) for part in found])
@@ -89,7 +91,7 @@ def _postures(part: LogPart, wanted: Integers) -> Array:
 def _weigh(
     columns: Array, row: Integers, motor: Integers, design: LogDesign, parts: Sequence[LogPart], slots: Sequence[Slot]
 ) -> None:
-    """Put the columns of weight alone into ``columns`` ``(M, P + K)``."""
+    """Replace the columns of masses and first moments in ``columns`` ``(M, P + K)`` by those of gravity alone."""
     index = {slot: k for k, slot in enumerate(slots)}
     n, T = design.n, design.T
     before = 0

@@ -1,15 +1,14 @@
-"""What a torque log's masses owe to springs that the log does not determine.
+"""Bias of the masses fitted to a torque log by joint compliances, which the log does not determine.
 
-The weight's torques are those of the arm where it stands: under its load each drive's spring yields by c T tau, and the
-arm with it, so that the torques change by K times that, K their derivative by the posture. A fit of torques takes the
-arm to be where its motors are; its masses are then off by some tenths of a percent, in proportion to compliances that
-only clamped sweeps or poses determine. To first order, of least squares with the design X, weights W and prior
-precision P::
+Under load each drive's spring yields by c T tau. The arm moves with it, and the torques of its weight change by K times
+that; K is their derivative by the posture. A fit of torques assumes the arm where its motors are. Its masses are then
+biased by some tenths of a percent, in proportion to compliances c that only clamped sweeps or poses determine. To first
+order, for least squares with the design X, weights W and prior precision P::
 
     theta - theta_fitted = B c,    B = -(X' W X + P)^-1 X' W S,    S = d torque / d c
 
-Whoever takes the masses over and has springs, takes B along (:attr:`clampid.slots.Prior.slope`). Source: the formula of
-omitted variables, as in Greene, Econometric Analysis (2012), section 4.3.2; K: :mod:`kinematics.gravity`.
+A stage that uses these masses as a prior and has springs uses B too (:attr:`clampid.slots.Prior.slope`). Source: the
+omitted-variable formula, as in Greene, Econometric Analysis (2012), section 4.3.2; K: :mod:`kinematics.gravity`.
 """
 
 from __future__ import annotations
@@ -39,12 +38,14 @@ def springs(joints: int) -> tuple[Slot, ...]:
 
 
 def spring_torques(robot: RobotDescription, weight: Array, gravity: Array, q: Array) -> Array:
-    """S ``(N, n, n)``, Nm by rad/Nm: what each drive's compliance does to the motors' torques.
+    """S ``(N, n, n)``, Nm/(rad/Nm): derivative of the motors' torques by each drive's compliance.
 
-    A yield of -T_l' c_l (T tau)_l at the joints, l the drive, times T K.
+    Drive l moves the joints by -T_l' c_l (T tau)_l, and T K times that is the change of the torques.
 
     Parameters
     ----------
+    robot
+        Its transmission T and geometry.
     weight
         ``(4n,)``: (m, m c) of all links, base axes at the zero pose, kg and kg m.
     gravity
@@ -59,25 +60,24 @@ def spring_torques(robot: RobotDescription, weight: Array, gravity: Array, q: Ar
 
 
 def by_springs(columns: Array, torques: Array, normal: Array, precision: Array) -> Array:
-    """B ``(P, n)``, parameters by compliances, from some rows of a log.
+    """B ``(P, n)``, derivative of the fitted parameters by the compliances, from a sample of a log's rows.
 
     Parameters
     ----------
     columns, torques
-        ``(M, P)`` and ``(M, n)``: X and S of those rows, over the noise.
+        ``(M, P)`` and ``(M, n)``: X and S in those rows, over the noise.
     normal, precision
-        ``(P, P)``: what all rows determine, and the prior.
+        ``(P, P)``: normal matrix of all rows, and precision of the prior.
     """
     own = columns.T @ columns
     informative = np.diag(own) > 0.0
-    share = float(
-        np.median(np.diag(normal)[informative] / np.diag(own)[informative])
-    )  # those rows are fewer, and not prewhitened
+    # The sample has fewer rows, which are not prewhitened: its normal matrix is scaled to that of all rows.
+    share = float(np.median(np.diag(normal)[informative] / np.diag(own)[informative]))
     return np.asarray(-inverse_of(share * own + precision) @ (share * (columns.T @ torques)))
 
 
 def rows_by_springs(estimate: Estimate) -> Array | None:
-    """B ``(P, n)`` of a fit of rows of torque logs; None where no link is known to weigh anything."""
+    """B ``(P, n)`` of a fit of torque logs in memory; None if no link's mass is known."""
     rows = estimate.problem.rows
     chosen = sampled_rows(rows)
     part, count = rows.take(chosen), len(estimate.slots)
@@ -99,14 +99,18 @@ def rows_by_springs(estimate: Estimate) -> Array | None:
 def log_by_springs(
     design: LogDesign, parts: Sequence[LogPart], slots: Sequence[Slot], sigma: Array, moments: Moments, precision: Array
 ) -> Array | None:
-    """B ``(P, n)`` of a fitted log; None where no link is known to weigh anything, or no row counts.
+    """B ``(P, n)`` of a log fitted by windows; None if no link's mass is known, or no row counts.
 
     Parameters
     ----------
+    design, parts
+        The log.
+    slots
+        The fitted slots.
     sigma
         Standard deviation of the motors' noise ``(n,)``, Nm.
     moments, precision
-        Of the fit, and of its prior, ``(P + K, P + K)``.
+        Sums of the fit, and precision of its prior ``(P + K, P + K)``.
     """
     row, motor, q = sampled_postures(design, parts)
     torques, before = np.zeros((len(row), design.n)), 0

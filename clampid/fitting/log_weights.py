@@ -1,4 +1,4 @@
-"""The weights of a torque log that is read window by window: :mod:`clampid.fitting.equal_weights` by passes over it."""
+"""The weights of a torque log read window by window; see :mod:`clampid.fitting.equal_weights`."""
 
 from __future__ import annotations
 
@@ -19,14 +19,16 @@ __all__ = ["best_weighted"]
 def best_weighted(
     design: LogDesign, fit: LogFit, prior: LogPrior, kept: Bools, part: Integers
 ) -> tuple[LogFit, Weights | None]:
-    """A log's fit with the weights that predict best, and how the two compare; None where there is one part only.
+    """A log's fit with the weights that predict better, and the comparison of the two; None if there is one part only.
 
     Parameters
     ----------
+    design, prior
+        The log, and the prior of the fit.
     fit
-        Weighted by the correlation of its noise.
+        The fit with weights by the autocorrelation of its noise.
     kept, part
-        ``(F,)``: which folds are fitted, and which part of the cross-validation each is of.
+        ``(F,)``: which folds are fitted, and the part of the cross-validation that each belongs to.
 
     Raises
     ------
@@ -51,14 +53,14 @@ def best_weighted(
 
 
 def _equal(noise: LogNoise) -> LogNoise:
-    """The same standard deviations, and no correlation in time."""
+    """The same standard deviations without correlation in time."""
     return replace(noise, autocorrelations=uncorrelated(len(noise.autocorrelations)))
 
 
 def _compared(
     design: LogDesign, correlated: Array, equal: LogFit, prior: LogPrior, kept: Bools, part: Integers
 ) -> Weights:
-    """Squares of rows that fits of the other parts leave; ``correlated`` ``(parts, P + K)`` as `cross_fitted` says."""
+    """Comparison by held-out squares; ``correlated``: parameters ``(parts, P + K)`` of `cross_fitted` for that fit."""
     plain = cross_fitted(design, equal, prior, kept, part)
     squares = np.zeros((2, len(plain), design.n))
     for found in residuals(design, kept, equal.outliers, equal.moments.at):
@@ -70,9 +72,9 @@ def _compared(
 
 
 def _gradient_covariance(design: LogDesign, kept: Bools, outliers: Integers, noise: LogNoise) -> Array:
-    """Covariance ``(P + K, P + K)`` of the gradient of a fit with equal weights, under noise that is correlated.
+    """Covariance ``(P + K, P + K)`` of the gradient of a fit with equal weights, under correlated noise.
 
-    Windows are taken alone: products of the few rows on both sides of a border between two do not count.
+    Products of rows in different windows are neglected.
     """
     out = np.zeros((design.parameters, design.parameters))
     for block in design:

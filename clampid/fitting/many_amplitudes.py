@@ -1,11 +1,13 @@
-"""A pose fit with many amplitudes at few joints, as curves over a joint's turn have: its normal equations by joints.
+"""Fast normal equations of a pose fit with many amplitudes at few joints, such as curves over a joint's turn.
 
-All amplitudes of a joint move a measurement in the one direction in which the joint does. With s_a the whitened
-derivative (N, m) of the measurements by station a, and D_a (N, k) that of the station by its amplitudes, their block is
+All amplitudes of a joint move a measurement in the same direction, that of the joint. With s_a the whitened derivative
+(N, m) of the measurements by station a, and D_a (N, k) the derivative of the station by its amplitudes, the block of
+stations a and b is
 
-    A_ab = D_a' diag(sum_c s_a s_b) D_b
+    A_ab = D_a' diag(sum_c s_ac s_bc) D_b
 
-which takes N k^2 operations instead of N m k^2, and never the Jacobian (N m, P) itself.
+with the sum over the m channels. This takes N k^2 operations instead of N m k^2, and the Jacobian (N m, P) is not
+formed.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ __all__ = ["AmplitudePoint", "has_many_amplitudes"]
 
 
 def has_many_amplitudes(problem: FitProblem, noise: Noise) -> bool:
-    """Whether normal equations of this problem are found faster by stations."""
+    """Whether the normal equations of this problem are computed faster by stations."""
     if not problem.kind.points or noise.autocorrelations or noise.wander:
         return False
     return bool(np.bincount(problem.chain.station, minlength=1).max() >= poses.PARAMETERS_OF_A_LARGE_CHAIN)
@@ -34,9 +36,20 @@ def has_many_amplitudes(problem: FitProblem, noise: Noise) -> bool:
 
 @dataclass(frozen=True)
 class AmplitudePoint:
-    """A pose fit at one parameter vector ``(P,)``, its residual ``(N, m)`` given, and what it depends on.
+    """A pose fit at one parameter vector.
 
-    ``sensitivity`` ``(N, m, S)`` is the derivative of the measurements by the stations.
+    Attributes
+    ----------
+    problem, noise
+        What is fitted, and the noise that weights the rows.
+    theta
+        Parameters ``(P,)``, SI.
+    residual
+        ``(N, m)``, SI.
+    sensitivity
+        Derivative ``(N, m, S)`` of the measurements by the stations.
+    deviations
+        Deviations of the stations, and their derivatives by the parameters.
     """
 
     problem: FitProblem
@@ -54,7 +67,7 @@ class AmplitudePoint:
 
     @cached_property
     def white(self) -> Whitened:
-        """Residual and Jacobian, whitened; the latter is made when it is asked for."""
+        """Residual and Jacobian, whitened; the Jacobian is computed when it is first used."""
         channel, entry = np.nonzero(self.problem.rows.used.T)
         known = self.__dict__.get("_normal", (None, None))[0]
         late = _Jacobian(self.problem, self.noise, self.theta, known)
@@ -67,7 +80,7 @@ class AmplitudePoint:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of entries of the whitened residual."""
         return int(self.problem.rows.used.sum())
 
     def normal(self) -> tuple[Array, Array]:
@@ -75,7 +88,7 @@ class AmplitudePoint:
         return self._normal
 
     def gradient(self) -> Array:
-        """The gradient ``(P,)`` alone, in a hundredth of the time."""
+        """The downhill gradient ``(P,)`` alone, in a hundredth of the time."""
         d = self.deviations
         pull = np.einsum("nms,nm->ns", self._levers, self._residual)
         out = np.zeros(len(self.theta))
@@ -84,7 +97,7 @@ class AmplitudePoint:
         return out
 
     def covariance(self, precision: Array) -> Array:
-        """Covariance ``(P, P)`` of a fit that has ended here, with a prior of ``precision`` ``(P, P)``."""
+        """Covariance ``(P, P)`` of a fit with its minimum here; ``precision`` ``(P, P)`` is that of the prior."""
         return covariance_of(self._normal[0], precision, self.cost, self.count)
 
     @cached_property
@@ -93,7 +106,7 @@ class AmplitudePoint:
 
     @cached_property
     def _levers(self) -> Array:
-        """What a unit at each station does to the measurements ``(N, m, S)``, whitened."""
+        """Derivative ``(N, m, S)`` of the measurements by a deviation at each station, whitened."""
         moved = np.unique(self.deviations.station)
         out = np.zeros_like(self.sensitivity)
         out[:, :, moved] = self._whitened(self.sensitivity[:, :, moved])
@@ -137,7 +150,7 @@ class AmplitudePoint:
 
 @dataclass(frozen=True, eq=False)
 class _Jacobian:
-    """The whitened Jacobian of a point, as :class:`clampid.fitting.noise.Late` has it, made of what the point is at."""
+    """The whitened Jacobian of a point, computed when used; see :class:`clampid.fitting.noise.Late`."""
 
     problem: FitProblem
     noise: Noise
@@ -166,7 +179,7 @@ def _columns(s: Array, d: Deviations, entries: Integers) -> tuple[Integers, Arra
     one = count[column] == 1
     out[:, :, column[one]] = s[:, :, d.station[entries[one]]] * d.partials[:, None, entries[one]]
     several = entries[~one]
-    if len(several):  # loads move all joints and are moved by all masses, so that the block is nearly full
+    if len(several):  # all masses change all joint loads, so this block is nearly full
         of, column = np.unique(d.parameter[several], return_inverse=True)
         stations, row = np.unique(d.station[several], return_inverse=True)
         block = np.zeros((len(s), len(stations), len(of)))

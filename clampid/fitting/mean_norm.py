@@ -1,12 +1,15 @@
-"""The universal model's own fit: the mean of the errors' norms, by sequential quadratic programming.
+"""The fit of the universal model: minimum of the mean norm of the errors, by sequential quadratic programming.
 
-P̄ = (1/N) Σ |e_i| of the measured points' errors e_i is what the universal model minimises, with SLSQP (Kraft1988); its
-tables give P̄, σ_P and P_max. Least squares, the default, weighs a point by its squared error, and is the better
-estimate where errors are Gaussian; the mean norm is pulled less by few large errors. Here it begins where least squares
-ends, on the rows that these left, and keeps the priors' influence: a prior of precision A counts as κ/2 δ'Aδ beside
-Σ |e_i|, with κ = 2/3 √(2/π) σ, at which both costs have the same curvature for Gaussian errors of deviation σ an axis.
+The universal model minimises P̄ = (1/N) Σ |e_i|, with e_i the errors of the measured points, by SLSQP (Kraft1988). Its
+tables give P̄, σ_P and P_max. Least squares, the default here, is the better estimate for Gaussian errors; the mean
+norm is less sensitive to a few large errors. The search starts at the least-squares solution, with the rows that it
+kept.
 
-Standard errors are those of an M-estimator, a sandwich over visits: H⁻¹ (Σ_v g_v g_v' + κ² A) H⁻¹ with
+Priors keep their influence: a prior of precision A is added to Σ |e_i| as κ/2 δ'Aδ, where δ is the difference to its
+mean and κ = 2/3 √(2/π) σ. Both costs then have the same curvature for Gaussian errors with standard deviation σ in each
+axis.
+
+Standard errors are those of an M-estimator, by a sandwich over visits: H⁻¹ (Σ_v g_v g_v' + κ² A) H⁻¹ with
 H = Σ J_i' (1 - u_i u_i') J_i / |e_i| + κ A, u_i = e_i/|e_i| and g_v = Σ J_i' u_i over a visit. Source: Huber, Robust
 Statistics, 1981, ch. 6; Liang, Zeger, Biometrika 73, 1986.
 """
@@ -28,36 +31,35 @@ from experiments.measures.metrics import norm_metrics
 
 __all__ = ["compared", "mean_norm"]
 
-CURVATURE_OF_NORM = (
-    2 / 3 * np.sqrt(2 / np.pi)
-)  # E[1 - uu']/|e|, times sigma, an axis: of Gaussian errors in three dimensions
-TOLERANCE, MAX_SLSQP_STEPS = 1e-9, 1000  # of the cost in units of chi-square; of SLSQP
-LEAST_RESIDUAL = 1e-3  # of sigma: a point that is met more closely than this counts as that far off in H
+CURVATURE_OF_NORM = 2 / 3 * np.sqrt(2 / np.pi)  # sigma E[(1 - uu')/|e|] in each axis, for Gaussian errors in 3 D
+TOLERANCE, MAX_SLSQP_STEPS = 1e-9, 1000  # of SLSQP: the first is of the cost, in units of chi-square
+LEAST_RESIDUAL = 1e-3  # in units of sigma: smaller errors count as this large in H
 
 
 def mean_norm(estimate: Estimate) -> Estimate:
-    """The same model where the mean of the errors' norms is least.
+    """The model with the smallest mean norm of the errors.
 
     Parameters
     ----------
     estimate
-        A least-squares fit of the stage ``poses``: the start, the rows without outliers, the priors.
+        A least-squares fit of the stage ``poses``; it gives the initial values, the rows and the priors.
 
     Returns
     -------
     Estimate
-        Weighted so that its normal equations hold: a point's variance is κ |e_i|. Orientations have no part in it.
+        Its weights are such that its normal equations hold: the variance of a point is κ |e_i|. Orientations do not
+        count.
 
     Raises
     ------
     FitError
-        It is no fit of poses, or SLSQP does not converge.
+        The fit is not of poses, it has distances, or SLSQP does not converge.
     """
     if not estimate.problem.kind.points:
-        raise FitError(f"the mean norm is of measured points: expected the stage poses, found {estimate.problem.stage}")
+        raise FitError(f"mean norm: expected a fit of measured points (stage poses), found {estimate.problem.stage}")
     rows = estimate.problem.rows
     if rows.ranged.any():
-        raise FitError("the mean norm is of measured points: expected no table distances, found one")
+        raise FitError("mean norm: expected measured points only, found a table distances")
     used = rows.used.copy()
     used[:, 3:] = False
     trial = estimate.problem.with_rows(replace(rows, used=used))
@@ -87,7 +89,7 @@ def mean_norm(estimate: Estimate) -> Estimate:
 
 
 def compared(estimate: Estimate, squares: Estimate) -> dict[str, dict[str, float | None]]:
-    """P_mean, P_std and P_max, m, of the fitted points by the mean norm, and by least squares beside it."""
+    """P_mean, P_std and P_max, m, of the fitted points, by the mean norm and by least squares."""
     used = estimate.problem.rows.used[:, 0]
     fits = {"mean-norm": estimate, "least-squares": squares}
     return {name: norm_metrics(np.linalg.norm(e.residual[used, :3], axis=1)) for name, e in fits.items()}
@@ -95,13 +97,13 @@ def compared(estimate: Estimate, squares: Estimate) -> dict[str, dict[str, float
 
 @dataclass(frozen=True)
 class _Lowest:
-    """Where ``(P,)`` a search with flanks frozen ended."""
+    """Parameters ``(P,)`` at the end of a search with frozen flanks."""
 
     theta: Array
 
 
 def _cost(trial: FitProblem, theta: Array, estimate: Estimate, kappa: float) -> tuple[float, Array]:
-    """Sum of the norms over κ with the prior's share, and its gradient ``(P,)``."""
+    """Cost in units of chi-square: sum of the norms over κ plus the prior's term; and its gradient ``(P,)``."""
     used = trial.rows.used[:, 0]
     residual, by = trial.residual(theta)
     e = residual[used, :3]
@@ -113,7 +115,7 @@ def _cost(trial: FitProblem, theta: Array, estimate: Estimate, kappa: float) -> 
 
 
 def _search(trial: FitProblem, theta: Array, estimate: Estimate, kappa: float) -> Array:
-    """SLSQP from ``theta``, flanks frozen, in coordinates in which least squares would be a ball."""
+    """SLSQP from ``theta`` with frozen flanks, in coordinates in which the least-squares cost is isotropic."""
     free = np.flatnonzero(~trial.fixed())
     J = estimate.whitened.jacobian
     L = linalg.cholesky(inverse_of(J.T @ J + estimate.prior_precision)[np.ix_(free, free)], lower=True)

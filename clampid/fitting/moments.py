@@ -1,4 +1,4 @@
-"""Least squares from sums: normal equations that add up over blocks of rows, and their solution."""
+"""Least squares from sums: normal equations accumulated over blocks of rows, and their solution."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ __all__ = ["LogPoint", "Moments", "minimise"]
 
 @dataclass
 class Moments:
-    """Sums over rows of whitened residual r, at parameters ``at``, and design X.
+    """Sums over rows of products of the whitened design X and residual r.
 
     Attributes
     ----------
     at
-        ``(P,)``.
+        Parameters ``(P,)`` at which r is the residual, SI.
     normal, slope, squares
         XᵀX ``(P, P)``, Xᵀr ``(P,)`` and rᵀr.
     count
-        How many rows.
+        Number of rows.
     """
 
     at: Array
@@ -34,11 +34,11 @@ class Moments:
 
     @staticmethod
     def none(at: Array) -> Moments:
-        """No rows yet; at ``at`` ``(P,)``."""
+        """Sums over no rows, at the parameters ``at`` ``(P,)``."""
         return Moments(at, np.zeros((len(at), len(at))), np.zeros(len(at)))
 
     def add(self, columns: Integers, both: Array, sigma: float = 1.0) -> None:
-        """Add rows ``(k, p + 1)``, the columns of X that are not zero and r, all in units of ``sigma``."""
+        """Add rows ``both`` ``(k, p + 1)``: the columns of X with numbers ``columns``, then r; divided by ``sigma``."""
         gram = (both.T @ both) / sigma**2
         self.normal[np.ix_(columns, columns)] += gram[:-1, :-1]
         self.slope[columns] += gram[:-1, -1]
@@ -55,7 +55,7 @@ class Moments:
         )
 
     def moved(self, theta: Array) -> Moments:
-        """The same sums at other parameters."""
+        """The sums at other parameters ``(P,)``, for a linear design."""
         step = theta - self.at
         slope = self.slope - self.normal @ step
         return Moments(theta, self.normal, slope, self.squares - float(step @ (self.slope + slope)), self.count)
@@ -63,23 +63,23 @@ class Moments:
 
 @dataclass(frozen=True)
 class LogPoint:
-    """A log at one parameter vector, from its sums, as `clampid.fitting.descent.descend` sees it."""
+    """A log at one parameter vector, from its sums, as a point of `clampid.fitting.descent.descend`."""
 
     moments: Moments
 
     @property
     def theta(self) -> Array:
-        """Where the sums are ``(P,)``."""
+        """Parameters ``(P,)`` of the sums."""
         return self.moments.at
 
     @property
     def cost(self) -> float:
-        """The whitened squares."""
+        """Sum of squares of the whitened residual."""
         return self.moments.squares
 
     @property
     def count(self) -> int:
-        """How many rows."""
+        """Number of rows."""
         return self.moments.count
 
     def normal(self) -> tuple[Array, Array]:
@@ -90,12 +90,14 @@ class LogPoint:
 def minimise(
     moments: Moments, theta: Array, precision: Array, mean: Array, size: Array, free: Bools | None = None
 ) -> Moments:
-    """Least squares with prior by the steps of `clampid.fitting.solve.solve`; the sums at the solution.
+    """Least squares with a prior, by undamped steps; the sums at the solution.
 
     Parameters
     ----------
+    moments
+        The sums, at any parameters.
     theta
-        Start ``(P,)``, kept where no step is worth being made.
+        Initial values ``(P,)``, SI; they are kept if a step would change them by far less than their standard errors.
     precision, mean
         The prior: ``(P, P)`` and ``(P,)``.
     size

@@ -15,7 +15,7 @@ from clampid.catalogue import catalogue
 from clampid.chain.chain import build_chain
 from clampid.comparison.compare import compare
 from clampid.effect import EffectError
-from clampid.evidence.alignment import STRONG, Alignment, align, alignment_of
+from clampid.evidence.alignment import VERY_STRONG_LOG_ODDS, Alignment, align, alignment_of
 from clampid.evidence.curves import Curves, turned
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
@@ -89,9 +89,9 @@ def test_joints_on_one_curve_are_found_and_the_others_left(seed: int, deviation:
     curves, sense, phase = drawn(np.random.default_rng(seed), 3, deviation)
     found = align(curves)
     check(found, sense, phase, 3)
-    assert found.log_odds > STRONG
+    assert found.log_odds > VERY_STRONG_LOG_ODDS
     assert list(found.refused) == [3]
-    assert found.refused[3] < STRONG
+    assert found.refused[3] < VERY_STRONG_LOG_ODDS
     if deviation:
         # With the noise above, three times a coefficient's deviation, that is hardly told; with a tenth of it, to 6 %.
         quiet, *_ = drawn(np.random.default_rng(seed), 3, deviation, noise=1e-6)

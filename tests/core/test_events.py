@@ -10,7 +10,7 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.diagnosis.diagnose import diagnose
-from clampid.evidence.events import Scan, absent_events, event_scores, time_of
+from clampid.evidence.events import EventScan, absent_events, event_scores, time_of
 from clampid.evidence.score import Flips
 from clampid.evidence.space import space_of
 from clampid.fitting.fit import fit
@@ -88,10 +88,10 @@ def test_nothing_slipped_is_not_called_a_slip(without: Estimate):
     assert found.bic < 0
 
 
-def scan(sweeps: int, rows: int, seed: int) -> Scan:
+def scan(sweeps: int, rows: int, seed: int) -> EventScan:
     rng = np.random.default_rng(seed)
     time = np.concatenate([s + (np.arange(rows) + 0.5) / rows for s in range(sweeps)])
-    return Scan(time, rng.chisquare(6, sweeps * rows), np.repeat(np.arange(sweeps) % 6, rows))
+    return EventScan(time, rng.chisquare(6, sweeps * rows), np.repeat(np.arange(sweeps) % 6, rows))
 
 
 def test_the_largest_of_many_times_is_not_significant_by_itself():
