@@ -23,7 +23,7 @@ from scipy import stats
 
 from clampid.chain.chain import Deviations
 from clampid.display import with_error
-from clampid.fitting.noise import NORMAL
+from clampid.fitting.noise import MAD_TO_STD
 from clampid.identification.model_on_campaign import ModelOnCampaign
 from clampid.role_slots import any_of_role, numbers_of_role
 from clampid.roles import WEIGHTS
@@ -290,7 +290,7 @@ def _search(
         columns = np.concatenate([np.stack(factors, axis=2), S[:, :, n : n + 6], shifts], axis=2)
         residual = rows.measured[:, :3] - position
         size = np.linalg.norm(residual, axis=1)
-        used = rows.used[:, 0] & (size <= OUTLIER_DEVIATIONS * NORMAL * np.median(size[rows.used[:, 0]]) + 1e-12)
+        used = rows.used[:, 0] & (size <= OUTLIER_DEVIATIONS * MAD_TO_STD * np.median(size[rows.used[:, 0]]) + 1e-12)
         J, r = columns[used].reshape(-1, len(theta)), residual[used].ravel()
         scale = np.linalg.norm(J, axis=0)
         scale[scale == 0.0] = 1.0

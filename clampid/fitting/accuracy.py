@@ -11,7 +11,8 @@ import numpy as np
 from clampid.fitting.descent import newton_step
 from clampid.fitting.fit import without_outlying
 from clampid.fitting.noise import Noise
-from clampid.fitting.solve import Estimate, clamping_offsets, limits_of, solve
+from clampid.fitting.prior_and_start import clamping_offsets
+from clampid.fitting.solve import Estimate, limits_of, solve
 from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array, Bools, Integers, Rows, lengths
 from experiments.measures.returns import ENOUGH_RETURNS, comparable_returns, freedom_of

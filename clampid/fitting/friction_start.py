@@ -17,7 +17,8 @@ import numpy as np
 
 from clampid.fitting.descent import Limits, newton_step
 from clampid.fitting.noise import initial_noise
-from clampid.fitting.solve import Estimate, limits_of, prior_of, solve, stage_point, start_of
+from clampid.fitting.prior_and_start import prior_of, start_of
+from clampid.fitting.solve import Estimate, limits_of, solve, stage_point
 from clampid.slots import Prior, Slot
 from clampid.stages import poses
 from clampid.stages.fit_problem import FitProblem

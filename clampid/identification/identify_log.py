@@ -21,8 +21,9 @@ from clampid.fitting.log_springs import log_by_springs
 from clampid.fitting.log_weights import best_weighted
 from clampid.fitting.nulls import assumed_of, named_directions
 from clampid.fitting.observability import observability, projected
+from clampid.fitting.prior_and_start import prior_of, start_of
 from clampid.fitting.priors import description_priors
-from clampid.fitting.solve import limits_of, prior_of, start_of
+from clampid.fitting.solve import limits_of
 from clampid.models.model import StageModel
 from clampid.roles import INERTIAL, INERTIAS
 from clampid.slots import Layout, Prior, Slot, Term, slots_of_terms

@@ -28,8 +28,9 @@ from clampid.effect import Effect, Stage
 from clampid.fitting.descent import Limits, Point, descend, inverse_of
 from clampid.fitting.flanks import settled
 from clampid.fitting.moments import LogPoint
+from clampid.fitting.prior_and_start import prior_of
 from clampid.fitting.priors import description_priors
-from clampid.fitting.solve import Estimate, StagePoint, limits_of, prior_of, stage_point
+from clampid.fitting.solve import Estimate, StagePoint, limits_of, stage_point
 from clampid.fitting.visits import gradient_covariance
 from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify_log import FittedLog
