@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.planning import choose, exchange, greedy, log_det, observability
-from clampid.planning.choose import _State, factor
+from clampid.planning.choose import _Design, factor
 
 seeds = st.integers(0, 10_000)
 
@@ -26,7 +26,7 @@ def value(factors: np.ndarray, prior: np.ndarray, chosen: list[int]) -> float:
 @settings(max_examples=20, deadline=None)
 def test_gains_and_updates_are_what_the_determinant_does(seed: int) -> None:
     F, prior = candidates(seed), 0.1 * np.eye(7)
-    state = _State(prior)
+    state = _Design(prior)
     gains = state.gains(F)
     for k in (0, 5, 9):
         assert gains[k] == pytest.approx(value(F, prior, [k]) - log_det(prior), abs=1e-9)
