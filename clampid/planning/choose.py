@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["choose", "exchange", "factor", "greedy", "log_det"]
+__all__ = ["choose", "exchange", "factor", "factors_of", "greedy", "log_det"]
 
 Array = npt.NDArray[np.float64]
 UPDATES_PER_INVERSION = 50  # after so many updates the inverse is computed again, which limits rounding errors
@@ -29,6 +29,15 @@ def factor(information: Array) -> Array:
     values, vectors = np.linalg.eigh(information)
     keep = values > 1e-12 * max(float(values[-1]), 1e-300)
     return np.asarray(vectors[:, keep] * np.sqrt(values[keep]))
+
+
+def factors_of(informations: Sequence[Array]) -> Array:
+    """Factors ``(c, P, r)`` of c matrices ``(P, P)``; narrower ones are filled with columns of zeros."""
+    found = [factor(information) for information in informations]
+    out = np.zeros((len(found), len(found[0]), max(F.shape[1] for F in found)))
+    for k, F in enumerate(found):
+        out[k, :, : F.shape[1]] = F
+    return out
 
 
 def log_det(information: Array) -> float:
@@ -76,7 +85,7 @@ def greedy(
     Parameters
     ----------
     factors
-        Factors of the candidates ``(c, P, r)``; narrower ones are filled with columns of zeros.
+        Factors of the candidates ``(c, P, r)``, see :func:`factors_of`.
     prior
         Information before any measurement ``(P, P)``, positive definite.
     count

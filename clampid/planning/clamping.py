@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from clampid.planning.choose import factor, greedy, log_det
+from clampid.planning.choose import factors_of, greedy, log_det
 from clampid.planning.clamping_bench import ClampingBench, cost_of, duration_of
 from clampid.planning.expected import expected_of
 from clampid.planning.logs import TorqueNoise
@@ -270,23 +270,20 @@ def _choices(
     time: float,
 ) -> list[list[int]]:
     """Indices of the best sweeps in one, two and three clampings; only those that fit into ``time``, s."""
-    factors = [factor(matrix * bench.scale) for matrix in informations]
-    table = np.zeros((len(factors), len(bench.size), max(f.shape[1] for f in factors)))
-    for k, f in enumerate(factors):
-        table[k, :, : f.shape[1]] = f
+    factors = factors_of([matrix * bench.scale for matrix in informations])
     cost = np.array([cost_of(sweep) for sweep in sweeps])
     out = []
     for clampings, taken in _clamped_in_turn(bench, sweeps, informations):
         budget = time - clampings * press.clamping_time
         if budget <= 0:
             break
-        first = _each_once(sweeps, table, bench.prior, taken, driven)
+        first = _each_once(sweeps, factors, bench.prior, taken, driven)
         if first is None or cost[first].sum() > budget:
             continue
         inside = np.array(taken)
         start = [taken.index(k) for k in first]
         picked = greedy(
-            table[inside], bench.prior, count=MAX_SWEEPS, cost=cost[inside], budget=budget, start=start, repeat=True
+            factors[inside], bench.prior, count=MAX_SWEEPS, cost=cost[inside], budget=budget, start=start, repeat=True
         )
         out.append([int(inside[k]) for k in picked])
     return out
@@ -330,7 +327,7 @@ def _too_short(
 
 
 def _each_once(
-    sweeps: list[Sweep], table: Array, prior: Array, among: list[int], driven: Sequence[int]
+    sweeps: list[Sweep], factors: Array, prior: Array, among: list[int], driven: Sequence[int]
 ) -> list[int] | None:
     """Indices of the most informative sweep of each joint; None if a joint cannot be driven in any posture."""
     first = []
@@ -338,7 +335,7 @@ def _each_once(
         able = [k for k in among if sweeps[k].joint == joint]
         if not able:
             return None
-        gain = [log_det(prior + table[k] @ table[k].T) for k in able]
+        gain = [log_det(prior + factors[k] @ factors[k].T) for k in able]
         first.append(able[int(np.argmax(gain))])
     return first
 

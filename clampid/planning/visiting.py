@@ -24,7 +24,7 @@ from experiments.plans.validate import validate_plan
 __all__ = ["Approach", "Stop", "approach_signs", "path_through", "plan_of_visits", "visits_of"]
 
 IK_STARTS = 60  # postures from which the inverse kinematics of the first place is started
-LARGEST_STEP = 0.7  # rad between postures of neighbouring places, half of the limit: more is another branch
+LARGEST_POSTURE_STEP = 1.4  # rad (m) of any joint between postures of neighbouring places: more is another branch
 LEAST_SPEED_SHARE = 0.01  # of the top speeds: controllers take no smaller override
 
 
@@ -138,7 +138,7 @@ def path_through(
         path = [np.round(start, DIGITS)]
         for place in places[1:]:
             found = reaching(cell.robot, place, axis, path[-1][None], point=point, normal=normal)
-            if not len(found) or not inside(found[0]) or np.max(np.abs(found[0] - path[-1])) > LARGEST_STEP * 2:
+            if not len(found) or not inside(found[0]) or np.max(np.abs(found[0] - path[-1])) > LARGEST_POSTURE_STEP:
                 break
             path.append(np.round(found[0], DIGITS))
         clear = scene.clear(np.array(path))

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clampid.catalogue import catalogue
-from clampid.planning.choose import factor, greedy
+from clampid.planning.choose import factors_of, greedy
 from clampid.planning.expected import prior_precision
 from clampid.planning.logs import LogBench, TorqueNoise
 from clampid.planning.program import LogWishes, plan_of_runs
@@ -326,10 +326,7 @@ def _choose(
     informations = []
     for start in range(0, len(courses), 60):  # logs of a few thousand rows at once
         informations += [t.information.sum(axis=0) * size for t in bench.evaluate(courses[start : start + 60])]
-    parts = [factor(matrix) for matrix in informations]
-    factors = np.zeros((len(parts), len(bench.size), max(p.shape[1] for p in parts)))
-    for k, part in enumerate(parts):
-        factors[k, :, : part.shape[1]] = part
+    factors = factors_of(informations)
     cost = np.array([course.length - dwell for course in courses])
     budget -= CENTRES * dwell  # each run begins with one additional stop
     prior = prior_precision(bench.problem) * size

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.planning import choose, exchange, greedy, log_det, observability
-from clampid.planning.choose import _Design, factor
+from clampid.planning.choose import _Design, factor, factors_of
 
 seeds = st.integers(0, 10_000)
 
@@ -36,6 +36,16 @@ def test_gains_and_updates_are_what_the_determinant_does(seed: int) -> None:
     kept = [k for k in range(8) if k != 3]
     A = prior + sum(F[k] @ F[k].T for k in kept)
     assert np.allclose(state.inverse @ A, np.eye(7), atol=1e-7)
+
+
+def test_factors_of_different_rank_give_their_matrices_back() -> None:
+    rng = np.random.default_rng(0)
+    wide, narrow = rng.standard_normal((5, 4)), rng.standard_normal((5, 1))
+    informations = [wide @ wide.T, narrow @ narrow.T]
+    F = factors_of(informations)
+    assert F.shape == (2, 5, 4)
+    assert not F[1, :, 1:].any()
+    assert np.allclose(np.einsum("cpr,cqr->cpq", F, F), informations)
 
 
 @given(seeds)
