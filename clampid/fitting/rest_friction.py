@@ -16,7 +16,7 @@ This needs known loads, from torque logs. Without them, :mod:`clampid.fitting.fr
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,14 +64,19 @@ class RestFriction:
 
 
 def with_rest_friction(
-    problem: FitProblem, priors: Sequence[Prior], start: Mapping[Slot, float], *, anew: bool = False
+    problem: FitProblem,
+    priors: Sequence[Prior],
+    start: Mapping[Slot, float],
+    *,
+    before: Collection[Slot] | None = None,
+    anew: bool = False,
 ) -> RestFriction:
     """Search for the frictions that select flanks and that only the poses identify.
 
-    If ``start`` has values of the whole model, the frictions are fixed there, unless ``anew`` is true. If an effect has
-    just been added, the frictions are searched again: before, the flanks may have absorbed this effect. No friction is
-    fixed if the residual exceeds the noise, or if a clearance has just been added at its joint. The flanks would then
-    absorb what the model lacks, and a fixed friction could not correct them.
+    If ``start`` has values of the whole model, the frictions are fixed there. They are searched if ``anew`` is true, or
+    if an effect has just been added: before, the flanks may have absorbed this effect. They are also searched if an
+    earlier fit lacked a clearance: without one flanks do not matter, and friction was identified by the wind-up of the
+    spring alone. No friction is fixed if the residual exceeds the noise: the flanks would absorb what the model lacks.
 
     Parameters
     ----------
@@ -79,6 +84,8 @@ def with_rest_friction(
         The poses, and the priors from earlier stages.
     start
         Slot -> initial value, SI.
+    before
+        The slots of an earlier fit of these rows, if ``start`` has further ones.
     anew
         Whether frictions are searched even if ``start`` has all values.
 
@@ -91,17 +98,15 @@ def with_rest_friction(
     if not open_:
         return RestFriction(start, None)
     theta = start_of(problem, start, priors)
-    if not anew and all(problem.slots[k] in start for k in open_):
-        places = {problem.slots[k].place for k in open_}
-        added = [s for s in problem.slots if s not in start]
-        if any(s.place in places and has_role(s, "clearance", effects=problem.effects) for s in added):
-            return RestFriction(start, None)
-        if not added:
-            free = _exceeds_noise(problem, problem.error(theta))
-            return RestFriction(start, None if free else _fixed_prior(problem, open_, theta))
+    fitted = set(start if before is None else before)
+    clearances = [slot for slot in problem.slots if has_role(slot, "clearance", effects=problem.effects)]
+    anew |= not fitted.issuperset(clearances)
+    if not anew and all(slot in start for slot in problem.slots):
+        free = _exceeds_noise(problem, problem.error(theta))
+        return RestFriction(start, None if free else _fixed_prior(problem, open_, theta))
     estimate = _solved(problem, priors, open_, theta)
     for _ in range(MAX_ROUNDS_OF_JOINTS):
-        before = estimate
+        last = estimate
         for k in open_:
             value = FrictionProfile.of(estimate, k).likeliest
             if value == estimate.theta[k]:
@@ -111,7 +116,7 @@ def with_rest_friction(
             found = _solved(problem, priors, open_, at)
             if _cost(found) < _cost(estimate) - BETTER_COST:
                 estimate = found
-        if estimate is before:
+        if estimate is last:
             break
     fixed = _fixed_prior(problem, open_, estimate.theta)
     return RestFriction(estimate.values(), None if _exceeds_noise(problem, estimate.residual) else fixed)

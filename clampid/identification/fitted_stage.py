@@ -146,7 +146,8 @@ def fit_stage(
     cost
         ``mean-norm``, for poses only: see :mod:`clampid.fitting.mean_norm`.
     last
-        An earlier fit of the same rows with other terms, whose noise gives the first weights of poses.
+        An earlier fit of the same rows with other terms. Its noise gives the first weights of poses; its slots tell
+        which clearances are new.
 
     Raises
     ------
@@ -180,7 +181,8 @@ def fit_stage(
     else:
         priors, carried = carried_over(rows, before, effects)
         if known_of(before, "moving") is not None:
-            friction = with_rest_friction(trial, priors, {**carried, **start})
+            earlier = None if last is None else last.slots
+            friction = with_rest_friction(trial, priors, {**carried, **start}, before=earlier)
         else:
             friction = RestFriction(with_friction_start(trial, priors, {**carried, **start}), None)
         estimate = fit(trial, (*priors, *friction.priors), friction.start, weights=weights)
