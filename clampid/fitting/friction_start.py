@@ -95,6 +95,7 @@ def _past_flips(estimate: Estimate, friction: int) -> Estimate:
 
 
 def _flanks(problem: FitProblem, theta: Array) -> Array:
+    """The flanks at parameters ``theta``; empty if the model has no clearances that follow them."""
     found = poses.flanks(problem.rows, problem.chain, theta)
     return np.zeros(0) if found is None else found
 

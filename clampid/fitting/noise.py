@@ -93,6 +93,7 @@ class Whitened:
 
 @lru_cache(maxsize=2)  # the Jacobians of the fit under test and of the fit that it is compared with
 def _dense(late: Late) -> Array:
+    """The Jacobian ``(M, P)``; the last two are cached."""
     return late.dense()
 
 

@@ -220,6 +220,7 @@ def point_at(problem: FitProblem, noise: Noise, theta: Array) -> StagePoint | Am
 
 
 def _amplitude_point(problem: FitProblem, noise: Noise, theta: Array) -> AmplitudePoint:
+    """One stage with many amplitudes at parameters ``theta`` ``(P + K,)``; raises :class:`FitError`."""
     point = AmplitudePoint.at(problem, noise, theta)
     _must_be_finite(problem, point.residual)
     return point

@@ -182,6 +182,9 @@ def exchange(
 
 
 def choose(factors: Array, prior: Array, count: int, *, start: Sequence[int] = (), passes: int = 5) -> list[int]:
-    """Indices of ``count`` candidates: chosen by :func:`greedy`, improved by :func:`exchange`; ``start`` is kept."""
+    """Indices of ``count`` candidates: chosen by :func:`greedy`, improved by :func:`exchange`.
+
+    Parameters are those of these two functions; the candidates of ``start`` are kept.
+    """
     picked = greedy(factors, prior, count=count, start=start)
     return exchange(factors, prior, picked, fixed=start, passes=passes)

@@ -168,6 +168,13 @@ def _check(cell: Cell, press: Press, time: float) -> None:
 def postures_for(cell: Cell, limits: Limits, scene: Scene, seed: int) -> Array:
     """Candidate postures to clamp ``(k, n)``, rad: clear of obstacles, far from singular, far from each other.
 
+    Parameters
+    ----------
+    cell, limits, scene
+        The cell, its limits and its obstacles.
+    seed
+        Seed of the configurations from which they are chosen.
+
     Raises
     ------
     PlanError

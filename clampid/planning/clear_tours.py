@@ -107,4 +107,5 @@ class ClearTours:
 
 
 def _ends(a: Array, b: Array) -> Ends:
+    """The key of the move between two configurations ``(n,)``, in either direction."""
     return frozenset((tuple(a.tolist()), tuple(b.tolist())))

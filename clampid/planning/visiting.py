@@ -156,6 +156,15 @@ def path_through(
 def visits_of(cell: Cell, limits: Limits, scene: Scene, stops: Sequence[Stop], approach: Approach) -> tuple[Visit, ...]:
     """Visits with timed moves, all of them checked for collisions.
 
+    Parameters
+    ----------
+    cell, limits, scene
+        The cell, its limits and its obstacles.
+    stops
+        The stops in their order.
+    approach
+        Speed of the moves, and duration of the last one to each stop.
+
     Raises
     ------
     PlanError
