@@ -9,7 +9,18 @@ from typing import Any, Literal
 from clampid.display import error_text, floor_text, length, places_text, with_error
 from clampid.stages.stage_kind import kind_of
 
-__all__ = ["MOST_WORDS", "Outcome", "equally_good", "headline", "listed", "named", "notes", "outcome", "worth_naming"]
+__all__ = [
+    "MOST_WORDS",
+    "Outcome",
+    "equally_good",
+    "headline",
+    "left_out_text",
+    "listed",
+    "named",
+    "notes",
+    "outcome",
+    "worth_naming",
+]
 
 Json = Mapping[str, Any]
 Outcome = Literal["good", "open"]
@@ -225,6 +236,11 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
         at_flange = f"{length(p['at_flange_m'])} at the flange"
         out.append(f"{biased} in {count} {p['parameter']} of {row} by {much}; {at_flange}.")
     return [f"{stage}: {text}" for text in out]
+
+
+def left_out_text(labels: Sequence[str]) -> str:
+    """What was asked for and not added, and why."""
+    return f"not added, because these rows do not identify it in this model: {', '.join(labels)}"
 
 
 def worth_naming(shifts: Sequence[Json]) -> list[Json]:

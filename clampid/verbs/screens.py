@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clampid.diagnosis.headline import headline, listed, named, notes, outcome
+from clampid.diagnosis.headline import headline, left_out_text, listed, named, notes, outcome
 from clampid.display import change_text, count_text, counted, error_text, floor_text
 from clampid.screen import Errors, Next, Screen, Tone
 from clampid.stages.stage_kind import kind_of, kinds, stage_of_table
@@ -314,6 +314,8 @@ def addition_screen(data: Json, done: str, steps: Sequence[Next]) -> Screen:
             for place in ([a["where"]] if isinstance(a["where"], str) else a["where"] or [""])
         ]
         facts.append((f"{name}:", f"added {_grouped(places)}"))
+        if part.get("left_out"):
+            facts.append((f"{name}:", left_out_text(part["left_out"])))
         rise, std = part["heldout_rise"], part["heldout_rise_std"]
         if std is not None and abs(rise) <= std:
             same.append(name)
