@@ -2,12 +2,13 @@
 
 A number with a standard error: two significant digits of the error, the value to the same place. A number without one:
 three significant digits. Lengths are µm below 1 mm and mm from there on, angles µrad below 0.2 degrees.
-Several numbers of one column share the unit that suits the largest.
+Several numbers of one column share the unit that suits the largest. Minus signs are true ones, not hyphens.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -30,6 +31,7 @@ __all__ = [
     "readable",
     "scale_for",
     "span",
+    "true_minus",
     "with_error",
     "with_std",
 ]
@@ -57,6 +59,9 @@ _EXACT = 12  # significant digits of a number without an uncertainty; nobody rea
 CONSTANT = 1e-8  # of its value: a standard error below that share is none
 _PLAIN = range(-4, 7)  # powers of ten that a number is printed without
 _THIN = "\u202f"
+_MINUS = "−"
+_HYPHENS = re.compile(r"(?P<kept>--[\w-]+[ =]\S+)|(?<![\w.)\]'\"=/-])-(?=\.?\d)")
+"""A hyphen that is a number's sign, and options of a command with their values, which are kept to be copied."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +90,12 @@ def scale_for(unit: str, values: Iterable[float]) -> Scale:
 def fixed(value: float, decimals: int) -> str:
     """A number to so many decimals, or to tens and hundreds where negative; without a negative zero."""
     text = f"{round(value, decimals):.{max(decimals, 0)}f}"
-    return text.removeprefix("-") if float(text) == 0.0 else text
+    return text.removeprefix("-") if float(text) == 0.0 else text.replace("-", _MINUS)
+
+
+def true_minus(text: str) -> str:
+    """A text for people in which negative numbers have a minus sign instead of a hyphen; options of commands stay."""
+    return _HYPHENS.sub(lambda found: found["kept"] or _MINUS, text)
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -96,7 +106,8 @@ def number(value: float, digits: int = 3) -> str:
         return "0"
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")  # 9.996 is 10.0, not 10.00
     if int(exponent) not in _PLAIN:
-        return f"{mantissa}·10{str(int(exponent)).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+        power = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+        return f"{mantissa.replace('-', _MINUS)}·10{power}"
     return fixed(value, digits - 1 - int(exponent))
 
 
@@ -173,7 +184,7 @@ def change_text(change: float, std: float, unit: str) -> str:
     """``−52.9 ± 6.9 µm``: a change with its sign and its standard error; ``sigma`` is printed as σ."""
     worded, error, symbol = quantity(abs(change), std, "" if unit == "sigma" else unit)
     known = f" ± {error}" if error != "–" else ""
-    return f"{'+' if change > 0 else '−'}{worded}{known} {'σ' if unit == 'sigma' else symbol}".rstrip()
+    return f"{'+' if change > 0 else _MINUS}{worded}{known} {'σ' if unit == 'sigma' else symbol}".rstrip()
 
 
 def span(low: float, high: float, unit: str) -> str:
@@ -203,7 +214,7 @@ def ranged(value: float, unit: str) -> str:
         "degC": (1.0, "degC", 1),
         "kg": (1.0, "kg", 2),
     }.get(unit, (1.0, unit, 1))
-    return f"{value * factor:.{decimals}f} {symbol}"
+    return f"{fixed(value * factor, decimals)} {symbol}"
 
 
 def floor_text(errors: Iterable[tuple[float | None, float | None]]) -> str:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
-from clampid.display import error_text, floor_text, length, places_text, with_error
+from clampid.display import error_text, floor_text, length, number, places_text, with_error
 from clampid.stages.stage_kind import kind_of
 
 __all__ = [
@@ -172,7 +172,7 @@ def _nothing(stages: Json) -> str:
     """That nothing was found, with how far the error is from the noise floor."""
     above = [part["above_floor"]["times_floor"] for part in stages.values() if part.get("above_floor")]
     if above:
-        return f"no missing effect was found, but the held-out error is {max(above):.2g} times the noise floor"
+        return f"no missing effect was found, but the held-out error is {number(max(above), 2)} times the noise floor"
     errors = floor_text((part.get("heldout_rms_before"), part.get("noise_floor")) for part in stages.values())
     return f"no missing effect was found: {errors}"
 
@@ -206,7 +206,7 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
     if plan.get("for") == "parting" and part["verdict"] == "ambiguous":
         kind = kind_of(stage).words.folds
         if plan.get("helps"):
-            now, then = f"{plan['sigma_before']:.2g} σ", f"{plan['sigma_after']:.2g} σ"
+            now, then = (f"{number(plan[f'sigma_{when}'], 2)} σ" for when in ("before", "after"))
             out.append(f"The closest two differ by {now}; {plan['count']} proposed {kind} raise this to {then}.")
         else:
             out.append(f"No {kind} that this robot can take distinguish all of them.")
@@ -214,7 +214,7 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
         out.append(f"To distinguish them: {part['next_measurement']}.")
     if above := part.get("above_floor"):
         out.append(
-            f"The held-out error is {above['times_floor']:.2g} times the noise floor. One possible reason: "
+            f"The held-out error is {number(above['times_floor'], 2)} times the noise floor. One possible reason: "
             f"{above['reasons'][0].partition(':')[0]}."
         )
     if sides := part.get("one_sided"):

@@ -100,7 +100,7 @@ def _turns(one: SharedCurve) -> Table:
         mounted = "mirrored" if one.sense[k] < 0 else "as it is"
         rows.append((f"joint {j + 1}", mounted, with_std(phase, std, DEGREES) if k else "0 (the others count from it)"))
     caption = (
-        "Joints whose angle errors share one curve g. The error of joint angle q is s g(s q - phase), with s = -1 "
+        "Joints whose angle errors share one curve g. The error of joint angle q is s g(s q − phase), with s = −1 "
         "where mirrored, plus the joint's own part: harmonics once and twice per turn, and a remainder of "
         f"{1e6 * one.deviation:.0f} µrad rms."
     )
@@ -147,7 +147,7 @@ def _one_curve(one: SharedCurve, points: list[tuple[int, Array, Array]]) -> Figu
         Line(degrees, np.where(one.extrapolated, np.nan, error), "the curve", "ink"),
         Line(degrees, np.where(one.extrapolated, error, np.nan), "no pose near", "grey"),
     ]
-    x = Axis("angle on the curve, s q - phase, degrees", 0.0, 360.0, step=30.0)
+    x = Axis("angle on the curve, s q − phase, degrees", 0.0, 360.0, step=30.0)
     plot = Chart((Panel(tuple(marks), x, Axis("arm less controller, µrad")),), 420)
     caption = (
         "The one curve of all these joints, with a band of two standard errors, and what the fitted poses say of it at "

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clampid.diagnosis.headline import headline, left_out_text, listed, named, notes, outcome
-from clampid.display import change_text, count_text, counted, error_text, floor_text
+from clampid.display import change_text, count_text, counted, error_text, floor_text, number
 from clampid.screen import Errors, Next, Screen, Tone
 from clampid.stages.stage_kind import kind_of, kinds, stage_of_table
 from clampid.verbs.next_step import free_name
@@ -72,8 +72,10 @@ def _judged(rows: Sequence[tuple[str, float | None, float | None]]) -> tuple[str
         said = floor_text((error, floor) for _, error, floor in rows)
         return f"{said[0].upper()}{said[1:]}.", "good"
     times, name = max(far)
-    shown = f"{times:.2g}" if times < 99.5 else f"{times:.0f}"  # not 1e+03
-    return f"{name}: the held-out error is {shown} times the noise floor, so an effect may be missing.", "open"
+    return (
+        f"{name}: the held-out error is {number(times, 2)} times the noise floor, so an effect may be missing.",
+        "open",
+    )
 
 
 def fit_screen(

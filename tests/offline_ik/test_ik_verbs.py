@@ -138,7 +138,7 @@ def test_ik_without_a_cell_says_what_it_assumes(model_file: Path) -> None:
     done = run("ik", model_file, *PLACE, "--json", "-")
     assert done.returncode == 0, done.stderr
     assert "assumed, because no cell file states it:\n" in done.stderr
-    for what in ("sample: 1.432, 0, -0.017 m", "gravity: 0, 0, -9.81 m/s2", "links of 20 degC", "says: 12 kg"):
+    for what in ("sample: 1.432, 0, −0.017 m", "gravity: 0, 0, −9.81 m/s2", "links of 20 degC", "says: 12 kg"):
         assert f"{what}\n" in done.stderr
     assert "sample" in json.loads(done.stdout)["cell"]["assumed"]
 
