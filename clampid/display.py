@@ -24,6 +24,7 @@ __all__ = [
     "label_text",
     "length",
     "number",
+    "odds_text",
     "places_text",
     "quantity",
     "ranged",
@@ -58,6 +59,7 @@ AT_FLOOR = 1.05
 _EXACT = 12  # significant digits of a number without an uncertainty; nobody reads more
 CONSTANT = 1e-8  # of its value: a standard error below that share is none
 _PLAIN = range(-4, 7)  # powers of ten that a number is printed without
+_PLAIN_ODDS = 4  # powers of ten from which on odds are given as a power
 _THIN = "\u202f"
 _MINUS = "−"
 _HYPHENS = re.compile(r"(?P<kept>--[\w-]+[ =]\S+)|(?<![\w.)\]'\"=/-])-(?=\.?\d)")
@@ -98,6 +100,14 @@ def true_minus(text: str) -> str:
     return _HYPHENS.sub(lambda found: found["kept"] or _MINUS, text)
 
 
+def odds_text(log_odds: float) -> str:
+    """Odds, given as their natural logarithm: ``8.2 to 1``, and large ones as ``above 10³⁹ to 1``."""
+    power = math.floor(log_odds / math.log(10.0))
+    if power < _PLAIN_ODDS:
+        return f"{number(math.exp(log_odds), 2)} to 1"
+    return f"above 10{_raised(power)} to 1"
+
+
 def number(value: float, digits: int = 3) -> str:
     """A number without an uncertainty, to so many significant digits."""
     if not math.isfinite(value):
@@ -106,8 +116,7 @@ def number(value: float, digits: int = 3) -> str:
         return "0"
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")  # 9.996 is 10.0, not 10.00
     if int(exponent) not in _PLAIN:
-        power = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-        return f"{mantissa.replace('-', _MINUS)}·10{power}"
+        return f"{mantissa.replace('-', _MINUS)}·10{_raised(int(exponent))}"
     return fixed(value, digits - 1 - int(exponent))
 
 
@@ -125,6 +134,11 @@ def _pair(value: float, std: float) -> tuple[str, str]:
     if not _has_error(value, std):
         return number(value, 4), ""
     return fixed(value, _place(std)), fixed(std, _place(std))
+
+
+def _raised(power: int) -> str:
+    """A power of ten as it stands beside the ten."""
+    return str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def with_std(value: float, std: float, scale: Scale, *, unit: bool = True) -> str:

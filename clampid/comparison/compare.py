@@ -194,7 +194,7 @@ def _as_fitted(
         """Rows of these tables that no fit has seen, or each predicted by a fit without it."""
         if opened.session is None or any(held_out):
             return rows, residual, ~fitted
-        estimate = opened.refit(stage).with_best_weights(seed).estimate
+        estimate = opened.refit(stage, settled=True).with_best_weights(seed).estimate
         test, left = cross_validated(estimate, estimate.problem.rows, seed)
         return test, left, np.ones(len(test), dtype=bool)
 

@@ -12,6 +12,8 @@ from clampid.stages.stage_kind import kind_of
 __all__ = [
     "MOST_WORDS",
     "Outcome",
+    "as_added",
+    "at_error",
     "equally_good",
     "headline",
     "left_out_text",
@@ -87,6 +89,48 @@ def headline(stages: Json, mended: bool = False) -> str:
     """
     sentences = list(_variants(stages, mended))
     return next((s for s in sentences if len(s.split()) <= MOST_WORDS), sentences[-1])
+
+
+def as_added(stages: Json, added: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    """A diagnosis whose confirmed candidates are what the model has of them now.
+
+    One curve for several joints takes the place of a curve for each. A verdict on the mended model names what is in it.
+
+    Parameters
+    ----------
+    stages
+        Stage → what the JSON of ``diagnose`` has for it.
+    added
+        Stage → the terms that were added and are still in the model, such as ``backlash@joint2``.
+    """
+    out = dict(stages)
+    for stage, labels in added.items():
+        candidates = stages[stage]["candidates"] if stage in stages else ()
+        confirmed = {c.get("name", c["effect"]): c for c in candidates if not c["alternative"]}
+        if not confirmed:
+            continue
+        places: dict[str, list[str]] = {}
+        for effect, _, place in (label.partition("@") for label in labels):
+            places.setdefault(effect, []).extend([place] if place else confirmed.get(effect, {}).get("where", ()))
+        now = [
+            {**confirmed.get(effect, {"effect": effect, "name": effect, "alternative": False}), "where": where}
+            for effect, where in places.items()
+        ]
+        out[stage] = {**stages[stage], "candidates": [*now, *(c for c in candidates if c["alternative"])]}
+    return out
+
+
+def at_error(part: Json, heldout_rms: float, noise_floor: float) -> Json:
+    """What a diagnosis says of a stage, with the distance from the noise floor at which the mended model is now.
+
+    Parameters
+    ----------
+    heldout_rms, noise_floor
+        Of the model, in one unit.
+    """
+    if not part.get("above_floor") or not noise_floor > 0.0:
+        return part
+    return {**part, "above_floor": {**part["above_floor"], "times_floor": heldout_rms / noise_floor}}
 
 
 def outcome(stages: Json, mended: bool = False) -> Outcome:

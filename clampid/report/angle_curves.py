@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -73,8 +73,7 @@ def angle_curves_section(
     one = shared_curve(stage, effects, np.linspace(0.0, 2 * np.pi, CURVE_POINTS + 1))
     if one is not None:
         blocks = [_turns(one), _one_curve(one, points_on(one, poses)), *blocks]
-    far = [f"joint {j + 1}: {100 * np.mean(found.extrapolated[:, j]):.0f} % of a turn" for j in joints]
-    notes = [f"Not visited by any pose: {'; '.join(far)}."] if found.extrapolated.any() else []
+    notes = _not_visited(found, joints)
     if one is not None and notes:
         notes.append("On a shared curve a pose of any of its joints counts for all of them.")
     offered = () if diagnosis is None else diagnosis.get("stages", {}).get("poses", {}).get("simpler", ())
@@ -90,6 +89,13 @@ def angle_curves_section(
         f"Largest error of a joint's angle: joint {joints[worst] + 1}, {number(1e6 * float(sizes[worst]))} µrad rms."
     )
     return Section("angles", "Errors of the joints' angles", (), tuple(blocks), tuple(notes), finding=finding)
+
+
+def _not_visited(found: AngleErrors, joints: Sequence[int]) -> list[str]:
+    """The joints with angles that no pose came near, and how much of a turn that is; nothing where there are none."""
+    shares = {j: round(100 * float(np.mean(found.extrapolated[:, j]))) for j in joints}
+    far = [f"joint {j + 1}: {share} % of a turn" for j, share in shares.items() if share > 0]
+    return [f"Not visited by any pose: {'; '.join(far)}."] if far else []
 
 
 def _turns(one: SharedCurve) -> Table:

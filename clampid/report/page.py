@@ -24,6 +24,7 @@ from clampid.report.dh_section import dh_section
 from clampid.report.drives import drives_section
 from clampid.report.findings import findings
 from clampid.report.first_screen import FirstScreen, first_screen
+from clampid.report.ledger_figures import with_ledger_figures
 from clampid.report.measured import measured_section
 from clampid.report.origin import origin_section
 from clampid.report.parameters import parameters_section
@@ -59,6 +60,7 @@ def page(
     opened = on_campaign(model, campaign, own)
     effects, stages = opened.effects, stage_data(opened)
     poses = stages.get("poses")
+    diagnosis = with_ledger_figures(diagnosis, model, first_model)
     before = stage_data(on_campaign(first_model, campaign, own)) if first_model is not None else {}
     sure = spreads(stages, before, model.seed)
     makers: dict[str, Callable[[], Section | None]] = {

@@ -126,12 +126,15 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
             good = equally_good(candidates)
             out.table("", columns, [_candidate(candidate, unit, candidate in good) for candidate in candidates], left=2)
             parameters = [p for candidate in candidates for p in candidate["parameters"]]
-            known = [p for p in parameters if p.get("identified", True)]
+            known = [p for p in parameters if p.get("identified", True) or p.get("excludes_zero", False)]
             if known:
                 out.table("", ("parameter", "value"), _values(known))
             if len(known) < len(parameters):
-                names = [str(p["name"]) for p in parameters if not p.get("identified", True)]
+                names = [str(p["name"]) for p in parameters if p not in known]
                 out.say(f"  not identifiable: {joined(names, 12)}")
+            beyond = [str(p["name"]) for p in known if p.get("beyond_limit")]
+            if beyond:
+                out.say(f"  above its physical limit, and may stand for another effect: {joined(beyond, 12)}")
             _show_caveats(candidates, out)
         _show_omission(part.get("omission") or (), out)
         for found in part.get("simpler", ()):

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clampid.diagnosis.headline import headline, left_out_text, listed, named, notes, outcome
+from clampid.diagnosis.headline import as_added, at_error, headline, left_out_text, listed, named, notes, outcome
 from clampid.display import change_text, count_text, counted, error_text, floor_text, number
 from clampid.screen import Errors, Next, Screen, Tone
 from clampid.stages.stage_kind import kind_of, kinds, stage_of_table
@@ -264,7 +264,10 @@ def _notes(stages: Json, mended: bool = False) -> tuple[str, ...]:
 
 def mended_screen(data: Json, model: Model, nominal: Mapping[Stage, float], done: str, steps: Sequence[Next]) -> Screen:
     """What ``auto`` found and added: ``data`` is its JSON, the ledger of ``model`` says what was added."""
-    found = data["diagnosis"]["stages"]
+    now = {name: (part["heldout_rms"], part["noise_floor"]) for name, part in data["stages"].items()}
+    found = {
+        name: at_error(part, *now[name]) if name in now else part for name, part in data["diagnosis"]["stages"].items()
+    }
     rows, facts, said = [], [], []
     for name, part in data["stages"].items():
         if weighted := weights_text(part.get("weights")):
@@ -282,7 +285,7 @@ def mended_screen(data: Json, model: Model, nominal: Mapping[Stage, float], done
         done,
         Errors(_title(list(data["stages"])), ("nominal", "start model", "this model", "noise floor"), tuple(rows)),
         tuple(facts),
-        headline(found, mended=True),
+        headline(as_added(found, {name: _still_in(model, name) for name in data["stages"]}), mended=True),
         outcome(found, mended=True),
         (*_notes(found, mended=True), *said),
         "Parameters, evidence and detection limits: --verbose, --json FILE, --report FILE.html.",

@@ -43,7 +43,7 @@ def test_what_does_not_differ_from_zero_is_weak_and_a_friction_below_zero_is_nam
     F = [Slot("wrist_coupling_friction", "F", f"joint{j}") for j in (4, 5, 6)]
     c = Slot("joint_compliance", "c", "joint4")
     found = stage((F[0], -0.8, 2.6), (F[1], 7.03, 0.04), (F[2], 1.1, 1.3), (c, 0.4, 0.001))
-    cells = [_cell(found, effects, k, _scale(found, effects, ROBOT, [k])) for k in range(4)]
+    cells = [_cell(found, effects, ROBOT, k, _scale(found, effects, ROBOT, [k])) for k in range(4)]
     assert cells == ["−0.8 ± 2.6 (below zero)", "7.030 ± 0.040", "1.1 ± 1.3", "400.0 ± 1.0"]  # the last beyond a bound
     assert [isinstance(cell, Weak) for cell in cells] == [True, False, True, False]
 
