@@ -107,7 +107,7 @@ def test_ik_reports_inputs_unused_by_the_model(cell_file: Path, tmp_path: Path) 
     save_model(drawn_model(effects=("geometry",)), model)
     done = run("ik", model, *PLACE, "--cell", cell_file, "--json", out)
     assert done.returncode == 0, done.stderr
-    note = "the model has no effect of the link temperatures: they change nothing"
+    note = "the link temperatures are not used: no effect of this model depends on them"
     assert note in " ".join(done.stdout.split())
     assert json.loads(out.read_text(encoding="utf-8"))["notes"] == [note]
 
