@@ -69,7 +69,9 @@ def test_the_answer_is_of_the_time_that_was_said(warming: Detector) -> None:
 
 def test_what_is_assumed_of_time_is_said(warming: Detector, detector: Detector) -> None:
     assert time_effects(warming.arm) == ("warm_up_expansion",)
-    assert any("no running time is stated: 0 s is assumed" in note and "warm_up_expansion" in note for note in warming.notes)
+    assert any(
+        "no running time is stated: 0 s is assumed" in note and "warm_up_expansion" in note for note in warming.notes
+    )
     assert not any("running time" in note for note in warming.at_running(0.0).notes)
     assert not any("running" in note for note in detector.notes)
     assert any("the running time is not used" in n for n in detector.at_running(60.0).notes)
