@@ -16,7 +16,7 @@ Loads have to be known for this, from torque logs; without, a fit only begins we
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,14 +71,25 @@ class RestFriction:
 
 
 def with_rest_friction(
-    problem: FitProblem, priors: Sequence[Prior], start: Mapping[Slot, float], *, anew: bool = False
+    problem: FitProblem,
+    priors: Sequence[Prior],
+    start: Mapping[Slot, float],
+    *,
+    before: Collection[Slot] | None = None,
+    anew: bool = False,
 ) -> RestFriction:
     """Search for the frictions that select flanks and that only the poses determine.
 
     Where ``start`` has all of the model they are fixed there, unless they are to be sought ``anew``. Where it lacks an
-    effect that has just been added, they are sought from what it has: without that effect flanks may have explained
-    what it does. None is fixed if the model leaves more than noise, or a clearance has just been added: flanks would
-    explain what else it lacks, and nothing could move them afterwards.
+    effect that has just been added, or a fit ``before`` lacked a clearance, they are sought from what it has: without
+    that effect flanks may have explained what it does, and without a clearance no flank mattered, so that friction was
+    only what winds up a spring. None is fixed if the model leaves more than noise: flanks would explain what else it
+    lacks.
+
+    Parameters
+    ----------
+    before
+        The slots of an earlier fit of these rows, if ``start`` has further ones.
 
     Raises
     ------
@@ -89,17 +100,15 @@ def with_rest_friction(
     if not open_:
         return RestFriction(start, None)
     theta = start_of(problem, start, priors)
-    if not anew and all(problem.slots[k] in start for k in open_):
-        places = {problem.slots[k].place for k in open_}
-        added = [s for s in problem.slots if s not in start]
-        if any(s.place in places and has_role(s, "clearance", effects=problem.effects) for s in added):
-            return RestFriction(start, None)
-        if not added:
-            free = _misses(problem, problem.error(theta))
-            return RestFriction(start, None if free else _fixed_prior(problem, open_, theta))
+    fitted = set(start if before is None else before)
+    play = [slot for slot in problem.slots if has_role(slot, "clearance", effects=problem.effects)]
+    anew |= not fitted.issuperset(play)
+    if not anew and all(slot in start for slot in problem.slots):
+        free = _misses(problem, problem.error(theta))
+        return RestFriction(start, None if free else _fixed_prior(problem, open_, theta))
     estimate = _solved(problem, priors, open_, theta)
     for _ in range(ROUNDS_OF_JOINTS):
-        before = estimate
+        last = estimate
         for k in open_:
             value = _Profile.of(estimate, k).likeliest
             if value == estimate.theta[k]:
@@ -109,7 +118,7 @@ def with_rest_friction(
             found = _solved(problem, priors, open_, at)
             if _cost(found) < _cost(estimate) - BETTER:
                 estimate = found
-        if estimate is before:
+        if estimate is last:
             break
     fixed = _fixed_prior(problem, open_, estimate.theta)
     return RestFriction(estimate.values(), None if _misses(problem, estimate.residual) else fixed)

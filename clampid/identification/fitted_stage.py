@@ -163,7 +163,8 @@ def fit_stage(
     else:
         priors, carried = carried_over(rows, before, effects)
         if known_of(before, "moving") is not None:
-            friction = with_rest_friction(trial, priors, {**carried, **start})
+            earlier = None if last is None else last.slots
+            friction = with_rest_friction(trial, priors, {**carried, **start}, before=earlier)
         else:
             friction = RestFriction(with_friction_start(trial, priors, {**carried, **start}), None)
         estimate = fit(trial, (*priors, *friction.priors), friction.start, weights=weights)
