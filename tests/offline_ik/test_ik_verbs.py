@@ -107,7 +107,7 @@ def test_ik_reports_inputs_unused_by_the_model(cell_file: Path, tmp_path: Path) 
     save_model(drawn_model(effects=("geometry",)), model)
     done = run("ik", model, *PLACE, "--cell", cell_file, "--json", out)
     assert done.returncode == 0, done.stderr
-    note = "the model has no effect of the link temperatures: they change nothing"
+    note = "the link temperatures are not used: no effect of this model depends on them"
     assert note in " ".join(done.stdout.split())
     assert json.loads(out.read_text(encoding="utf-8"))["notes"] == [note]
 
@@ -138,7 +138,7 @@ def test_ik_without_a_cell_says_what_it_assumes(model_file: Path) -> None:
     done = run("ik", model_file, *PLACE, "--json", "-")
     assert done.returncode == 0, done.stderr
     assert "assumed, because no cell file states it:\n" in done.stderr
-    for what in ("sample: 1.432, 0, -0.017 m", "gravity: 0, 0, -9.81 m/s2", "links of 20 degC", "says: 12 kg"):
+    for what in ("sample: 1.432, 0, −0.017 m", "gravity: 0, 0, −9.81 m/s2", "links of 20 degC", "says: 12 kg"):
         assert f"{what}\n" in done.stderr
     assert "sample" in json.loads(done.stdout)["cell"]["assumed"]
 
