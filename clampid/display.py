@@ -2,12 +2,13 @@
 
 A number with a standard error: two significant digits of the error, the value to the same place. A number without one:
 three significant digits. Lengths are µm below 1 mm and mm from there on, angles µrad below 0.2 degrees.
-Several numbers of one column share the unit that suits the largest.
+Several numbers of one column share the unit that suits the largest. Minus signs are true ones, not hyphens.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -23,6 +24,7 @@ __all__ = [
     "label_text",
     "length",
     "number",
+    "odds_text",
     "places_text",
     "quantity",
     "ranged",
@@ -30,6 +32,7 @@ __all__ = [
     "readable",
     "scale_for",
     "span",
+    "true_minus",
     "with_error",
     "with_std",
 ]
@@ -56,7 +59,11 @@ AT_FLOOR = 1.05
 _EXACT = 12  # significant digits of a number without an uncertainty; nobody reads more
 CONSTANT = 1e-8  # of its value: a standard error below that share is none
 _PLAIN = range(-4, 7)  # powers of ten that a number is printed without
+_PLAIN_ODDS = 4  # powers of ten from which on odds are given as a power
 _THIN = "\u202f"
+_MINUS = "−"
+_HYPHENS = re.compile(r"(?P<kept>--[\w-]+[ =]\S+)|(?<![\w.)\]'\"=/-])-(?=\.?\d)")
+"""A hyphen that is a number's sign, and options of a command with their values, which are kept to be copied."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +92,20 @@ def scale_for(unit: str, values: Iterable[float]) -> Scale:
 def fixed(value: float, decimals: int) -> str:
     """A number to so many decimals, or to tens and hundreds where negative; without a negative zero."""
     text = f"{round(value, decimals):.{max(decimals, 0)}f}"
-    return text.removeprefix("-") if float(text) == 0.0 else text
+    return text.removeprefix("-") if float(text) == 0.0 else text.replace("-", _MINUS)
+
+
+def true_minus(text: str) -> str:
+    """A text for people in which negative numbers have a minus sign instead of a hyphen; options of commands stay."""
+    return _HYPHENS.sub(lambda found: found["kept"] or _MINUS, text)
+
+
+def odds_text(log_odds: float) -> str:
+    """Odds, given as their natural logarithm: ``8.2 to 1``, and large ones as ``above 10³⁹ to 1``."""
+    power = math.floor(log_odds / math.log(10.0))
+    if power < _PLAIN_ODDS:
+        return f"{number(math.exp(log_odds), 2)} to 1"
+    return f"above 10{_raised(power)} to 1"
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -96,7 +116,7 @@ def number(value: float, digits: int = 3) -> str:
         return "0"
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")  # 9.996 is 10.0, not 10.00
     if int(exponent) not in _PLAIN:
-        return f"{mantissa}·10{str(int(exponent)).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+        return f"{mantissa.replace('-', _MINUS)}·10{_raised(int(exponent))}"
     return fixed(value, digits - 1 - int(exponent))
 
 
@@ -114,6 +134,11 @@ def _pair(value: float, std: float) -> tuple[str, str]:
     if not _has_error(value, std):
         return number(value, 4), ""
     return fixed(value, _place(std)), fixed(std, _place(std))
+
+
+def _raised(power: int) -> str:
+    """A power of ten as it stands beside the ten."""
+    return str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def with_std(value: float, std: float, scale: Scale, *, unit: bool = True) -> str:
@@ -173,7 +198,7 @@ def change_text(change: float, std: float, unit: str) -> str:
     """``−52.9 ± 6.9 µm``: a change with its sign and its standard error; ``sigma`` is printed as σ."""
     worded, error, symbol = quantity(abs(change), std, "" if unit == "sigma" else unit)
     known = f" ± {error}" if error != "–" else ""
-    return f"{'+' if change > 0 else '−'}{worded}{known} {'σ' if unit == 'sigma' else symbol}".rstrip()
+    return f"{'+' if change > 0 else _MINUS}{worded}{known} {'σ' if unit == 'sigma' else symbol}".rstrip()
 
 
 def span(low: float, high: float, unit: str) -> str:
@@ -203,7 +228,7 @@ def ranged(value: float, unit: str) -> str:
         "degC": (1.0, "degC", 1),
         "kg": (1.0, "kg", 2),
     }.get(unit, (1.0, unit, 1))
-    return f"{value * factor:.{decimals}f} {symbol}"
+    return f"{fixed(value * factor, decimals)} {symbol}"
 
 
 def floor_text(errors: Iterable[tuple[float | None, float | None]]) -> str:

@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from clampid.display import true_minus
+
 __all__ = ["HEIGHT", "WIDTH", "Errors", "Line", "Next", "Screen", "Tone", "command_lines", "laid_out", "wrapped"]
 
 WIDTH = 80
@@ -100,8 +102,9 @@ class Screen:
 def wrapped(text: str, width: int = WIDTH, first: str = "", rest: str = "") -> list[str]:
     """Lines of whole words, each after its indent; a word that is longer than a line has one of its own.
 
-    A number stays on the line of its unit, where a line has room for both.
+    A number stays on the line of its unit, where a line has room for both. Its minus is a true one.
     """
+    text = true_minus(text)
     room = width - max(len(first), len(rest))
     whole = _VALUE.sub(lambda value: value[0].replace(" ", _KEPT) if len(value[0]) <= room else value[0], text)
     lines = textwrap.wrap(

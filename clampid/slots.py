@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.effect import AT_A_SLIDE, Effect, EffectError, Parameter, Stage
+from clampid.roles import FRAMES
 from kinematics.robot import RobotDescription
 
 __all__ = [
@@ -184,6 +185,26 @@ def on_bound(slot: Slot, value: float, catalogue: Mapping[str, Effect]) -> bool:
     """
     parameter = find_parameter(slot, catalogue)
     return not parameter.shape and parameter.fixed == "nowhere" and value in parameter.bounds
+
+
+CERTAIN = 3.0
+"""Standard errors from zero: an amplitude that far off is no chance result."""
+
+
+def excludes_zero(parameter: Parameter, value: float, std: float) -> bool:
+    """Whether the data exclude that an amplitude is zero, even if they do not determine it to within its usual size.
+
+    Frames are left out: one that no row separates from another can be many standard errors off. So are springs, which
+    are never zero.
+    """
+    if parameter.shape or parameter.share or parameter.fixed != "nowhere" or parameter.role in (*FRAMES, "compliance"):
+        return False
+    return abs(value) > CERTAIN * std > 0.0
+
+
+def beyond_limit(parameter: Parameter, value: float) -> bool:
+    """Whether a fitted value lies above its physical limit, as stated for this robot."""
+    return value > parameter.bounds[1]
 
 
 def slots_of_terms(

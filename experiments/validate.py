@@ -109,7 +109,7 @@ def _refuse_missing(missing: list[Column], extra: list[str], why: str, source: T
         return
     names = [c.name for c in missing]
     near = {name: lookalike(name, extra) for name in names}
-    misnamed = [f"{near[name]!r} (expected {name!r})" for name in names if near[name]]
+    misnamed = [f"{near[name]!r} in place of {name!r}" for name in names if near[name]]
     found = "no such column"
     if misnamed:
         found += ", but " + ", ".join(misnamed[:3]) + (" …" if len(misnamed) > 3 else "")

@@ -204,7 +204,7 @@ def _as_fitted(
         """Rows, their residual, and which are held out; by cross-validation if the model was fitted on all rows."""
         if opened.session is None or any(held_out):
             return rows, residual, ~fitted
-        estimate = opened.refit(stage).with_best_weights(seed).estimate
+        estimate = opened.refit(stage, settled=True).with_best_weights(seed).estimate
         test, left = cross_validated(estimate, estimate.problem.rows, seed)
         return test, left, np.ones(len(test), dtype=bool)
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from clampid.display import number
 from clampid.fitting.solve import Estimate
 from clampid.fitting.wander import in_time
 from clampid.stages.rows import Array, Integers, Rows
@@ -50,7 +51,9 @@ class Drift:
     def sentence(self) -> str:
         """For people."""
         apart = "consecutive visits" if self.lag == 1 else f"visits {self.lag} apart"
-        found = f"Residuals of {apart} are correlated ({self.correlation:.2f}, p = {self.p:.2g} over {LAGS} lags)"
+        found = (
+            f"Residuals of {apart} are correlated ({self.correlation:.2f}, p = {number(self.p, 2)} over {LAGS} lags)"
+        )
         if not self.clocked:
             return (
                 f"{found} in the order of the rows; time_s only counts them and is no clock. If this is the order of "

@@ -12,7 +12,7 @@ from clampid.effect import WEAK_SPREAD, Effect
 from clampid.evidence.candidates import label_of
 from clampid.evidence.score import Flips, Scored, canonical
 from clampid.fitting.solve import Estimate
-from clampid.slots import Slot, Term, fixed_slots, unit_of
+from clampid.slots import Slot, Term, beyond_limit, excludes_zero, fixed_slots, unit_of
 from clampid.stages.rows import Array, Bools
 
 __all__ = ["confusable_with", "considered_of", "entry_of", "merged", "variables_of", "with_stand_ins"]
@@ -94,6 +94,7 @@ def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None
     for slot in (*s.candidate.slots, *s.candidate.shapes):
         wanted.setdefault(slot.effect, set()).add(slot.place)
     std, identified, fixed = estimate.std, estimate.identified, fixed_slots(estimate.slots, estimate.problem.effects)
+    every = estimate.problem.parameters
     return [
         {
             "name": slot.label,
@@ -101,6 +102,8 @@ def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None
             "std": None if fixed[k] else float(std[k]),
             "unit": unit_of(slot, effects, estimate.problem.rows.robot),
             "identified": bool(identified[k]),
+            "excludes_zero": excludes_zero(every[k], float(estimate.theta[k]), float(std[k])),
+            "beyond_limit": beyond_limit(every[k], float(estimate.theta[k])),
         }
         for k, slot in enumerate(estimate.slots)
         if slot.place in wanted.get(slot.effect, set())

@@ -6,10 +6,23 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
-from clampid.display import error_text, floor_text, length, places_text, with_error
+from clampid.display import error_text, floor_text, length, number, places_text, with_error
 from clampid.stages.stage_kind import kind_of
 
-__all__ = ["MOST_WORDS", "Outcome", "equally_good", "headline", "listed", "named", "notes", "outcome", "worth_naming"]
+__all__ = [
+    "MOST_WORDS",
+    "Outcome",
+    "as_added",
+    "at_error",
+    "equally_good",
+    "headline",
+    "left_out_text",
+    "listed",
+    "named",
+    "notes",
+    "outcome",
+    "worth_naming",
+]
 
 Json = Mapping[str, Any]
 Outcome = Literal["good", "open"]
@@ -76,6 +89,48 @@ def headline(stages: Json, mended: bool = False) -> str:
     """
     sentences = list(_variants(stages, mended))
     return next((s for s in sentences if len(s.split()) <= MOST_WORDS), sentences[-1])
+
+
+def as_added(stages: Json, added: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    """A diagnosis whose confirmed candidates are what the model has of them now.
+
+    One curve for several joints takes the place of a curve for each. A verdict on the mended model names what is in it.
+
+    Parameters
+    ----------
+    stages
+        Stage → what the JSON of ``diagnose`` has for it.
+    added
+        Stage → the terms that were added and are still in the model, such as ``backlash@joint2``.
+    """
+    out = dict(stages)
+    for stage, labels in added.items():
+        candidates = stages[stage]["candidates"] if stage in stages else ()
+        confirmed = {c.get("name", c["effect"]): c for c in candidates if not c["alternative"]}
+        if not confirmed:
+            continue
+        places: dict[str, list[str]] = {}
+        for effect, _, place in (label.partition("@") for label in labels):
+            places.setdefault(effect, []).extend([place] if place else confirmed.get(effect, {}).get("where", ()))
+        now = [
+            {**confirmed.get(effect, {"effect": effect, "name": effect, "alternative": False}), "where": where}
+            for effect, where in places.items()
+        ]
+        out[stage] = {**stages[stage], "candidates": [*now, *(c for c in candidates if c["alternative"])]}
+    return out
+
+
+def at_error(part: Json, heldout_rms: float, noise_floor: float) -> Json:
+    """What a diagnosis says of a stage, with the distance from the noise floor at which the mended model is now.
+
+    Parameters
+    ----------
+    heldout_rms, noise_floor
+        Of the model, in one unit.
+    """
+    if not part.get("above_floor") or not noise_floor > 0.0:
+        return part
+    return {**part, "above_floor": {**part["above_floor"], "times_floor": heldout_rms / noise_floor}}
 
 
 def outcome(stages: Json, mended: bool = False) -> Outcome:
@@ -161,7 +216,7 @@ def _nothing(stages: Json) -> str:
     """That nothing was found, with how far the error is from the noise floor."""
     above = [part["above_floor"]["times_floor"] for part in stages.values() if part.get("above_floor")]
     if above:
-        return f"no missing effect was found, but the held-out error is {max(above):.2g} times the noise floor"
+        return f"no missing effect was found, but the held-out error is {number(max(above), 2)} times the noise floor"
     errors = floor_text((part.get("heldout_rms_before"), part.get("noise_floor")) for part in stages.values())
     return f"no missing effect was found: {errors}"
 
@@ -195,7 +250,7 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
     if plan.get("for") == "parting" and part["verdict"] == "ambiguous":
         kind = kind_of(stage).words.folds
         if plan.get("helps"):
-            now, then = f"{plan['sigma_before']:.2g} σ", f"{plan['sigma_after']:.2g} σ"
+            now, then = (f"{number(plan[f'sigma_{when}'], 2)} σ" for when in ("before", "after"))
             out.append(f"The closest two differ by {now}; {plan['count']} proposed {kind} raise this to {then}.")
         else:
             out.append(f"No {kind} that this robot can take distinguish all of them.")
@@ -203,7 +258,7 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
         out.append(f"To distinguish them: {part['next_measurement']}.")
     if above := part.get("above_floor"):
         out.append(
-            f"The held-out error is {above['times_floor']:.2g} times the noise floor. One possible reason: "
+            f"The held-out error is {number(above['times_floor'], 2)} times the noise floor. One possible reason: "
             f"{above['reasons'][0].partition(':')[0]}."
         )
     if sides := part.get("one_sided"):
@@ -225,6 +280,11 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
         at_flange = f"{length(p['at_flange_m'])} at the flange"
         out.append(f"{biased} in {count} {p['parameter']} of {row} by {much}; {at_flange}.")
     return [f"{stage}: {text}" for text in out]
+
+
+def left_out_text(labels: Sequence[str]) -> str:
+    """What was asked for and not added, and why."""
+    return f"not added, because these rows do not identify it in this model: {', '.join(labels)}"
 
 
 def worth_naming(shifts: Sequence[Json]) -> list[Json]:

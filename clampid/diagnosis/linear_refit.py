@@ -114,14 +114,17 @@ class Step:
         return other is None or max(self.kept, self.promised) + abs(self.kept - self.promised) >= other.kept
 
 
-def step_towards(estimate: Estimate, s: Scored) -> Step | None:
-    """A step towards a candidate, with the predicted and the actual fall; None if it is no amplitude of rows.
+def step_towards(estimate: Estimate, *candidates: Scored) -> Step | None:
+    """A step towards a candidate, or several, with the predicted and the actual fall; None if any is no amplitude.
 
     A closing gap or a time constant is not linear; then only a full fit decides.
     """
-    near = linear_refit(estimate, s)
-    if near is None:
-        return None
+    near = estimate
+    for s in candidates:
+        found = linear_refit(near, s)
+        if found is None:
+            return None
+        near = found
     trial = near.problem.with_flanks(near.theta)
     residual = trial.error(limits_of(trial).clipped(near.theta))
     if not np.all(np.isfinite(residual)):

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy import stats
 
+from clampid.display import number
 from clampid.stages.rows import Array
 from experiments.plans.model import Plan
 
@@ -177,13 +178,14 @@ class NextPlan:
     def sentence(self) -> str:
         """For people: the gain for candidates that it distinguishes, and the pairs that it does not."""
         never = "; ".join(
-            f"{a} from {b} ({_percent(share)} of their signal in common, a difference of {np.sqrt(left):.2g} σ)"
+            f"{a} from {b} ({_percent(share)} of their signal in common, a difference of "
+            f"{number(float(np.sqrt(left)), 2)} σ)"
             for a, b, share, left in self.never
         )
         if not self.helps:
             what = f"no {self.what[1]} that this robot can take distinguish"
             return f"{what} {never or 'them'}, not even all {self.tried} that were tried"
-        now, then, enough = (f"{np.sqrt(square):.2g} σ" for square in (self.before, self.after, ENOUGH))
+        now, then, enough = (f"{number(float(np.sqrt(square)), 2)} σ" for square in (self.before, self.after, ENOUGH))
         gain = f"the closest two differ by {now}, these raise this to {then}; {enough} is enough in 9 of 10 campaigns"
         share = f"{_percent(self.shared[0])} of their signal is in common now, {_percent(self.shared[1])} then"
         said = f"{self.count} ({self.words}): {gain}; {share}"

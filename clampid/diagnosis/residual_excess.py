@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from clampid.diagnosis.candidate_scores import ABLE
-from clampid.display import counted
+from clampid.display import counted, number
 from clampid.effect import Effect
 from clampid.evidence.score import Scored
 from clampid.signals import SIGNALS
@@ -133,7 +133,7 @@ def excess_over_floor(
     reasons = [WHY_FLOOR[source], "robot or instrument may have drifted, or noise may be larger in some places"]
     if few > 1.0:
         reasons.insert(
-            0, f"the poses are few: the error of the estimates alone brings the floor to {few:.2g} times itself"
+            0, f"the poses are few: the error of the estimates alone brings the floor to {number(few, 2)} times itself"
         )
     if outliers:
         kind = "an outlier" if outliers == 1 else "outliers"

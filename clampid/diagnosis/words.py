@@ -9,7 +9,7 @@ import numpy as np
 
 from clampid.diagnosis.headline import listed, named
 from clampid.diagnosis.result import StageDiagnosis
-from clampid.display import count_text, error_text
+from clampid.display import count_text, error_text, number
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, unit_of
 from clampid.stages.rows import Array, Bools, Rows, lengths
@@ -134,7 +134,7 @@ def _floor_excess(excess: Mapping[str, Any], error: str, floor: str, further: bo
     blind = f" The model absorbs errors that depend on these variables: {unseen}." if unseen else ""
     return (
         f"No {'further ' if further else 'missing '}effect was confirmed, but the held-out error is {error}: "
-        f"{excess['times_floor']:.2g} times the {floor}. {100 * excess['share_of_square']:.0f} % of its square are not "
-        f"noise. Possible reasons: {'; '.join(excess['reasons'])}.{blind} An effect above its detection limit would "
-        "have been found with 90 % probability."
+        f"{number(excess['times_floor'], 2)} times the {floor}. {100 * excess['share_of_square']:.0f} % of its square "
+        f"are not noise. Possible reasons: {'; '.join(excess['reasons'])}.{blind} An effect above its detection limit "
+        "would have been found with 90 % probability."
     )

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy import optimize
 
-from clampid.display import readable
+from clampid.display import odds_text, readable
 from clampid.effect import Effect
 from clampid.evidence.curves import CurvePart, Curves, coefficient_names, curves_of, turned, without_curves
 from clampid.evidence.of_size import evidence
@@ -142,8 +142,8 @@ def _summary(found: Alignment) -> str:
     ]
     return (
         f"the angle errors of {', '.join(names)} follow one curve, that of {names[0]}, turned: {', '.join(turns)}; the "
-        f"odds of one shared curve against a curve for each joint are e^{found.log_odds:.0f}, and the joints differ "
-        f"from it by {readable(found.deviation, 'rad')} rms"
+        f"odds of one shared curve against a curve for each joint are {odds_text(found.log_odds)}, and the joints "
+        f"differ from it by {readable(found.deviation, 'rad')} rms"
     )
 
 

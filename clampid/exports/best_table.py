@@ -32,7 +32,7 @@ __all__ = ["BestTable", "best_table"]
 
 LEVER = 0.2  # m, from the flange to a tool's point: orientation counts as what it moves there
 COUNT = 1000  # postures, where no campaign gives them
-SENSED = 200  # of the postures, at which it is found how the table follows the model
+SENSED = 3000  # postures, at most, at which it is found how the table follows the model
 MAX_NEWTON_STEPS = 4  # of Gauss and Newton; the arm is nearly linear in a millimetre
 DIFFERENCE_STEP = 1e-7  # m or rad
 NUDGE = 1e-3  # of a parameter's standard error or size: how far the model's parameters are moved for a derivative
@@ -182,15 +182,19 @@ def _determined(J: Array, left: Array, size: Array) -> Array:
 
 
 def _follows(whole: WholeModel, theta: Array, std: Array, A: Array) -> Array:
-    """How the fitted directions follow the model's parameters ``(k, P)``: the least squares solution's derivative."""
+    """How the fitted directions follow the model's parameters ``(k, P)``: the least squares solution's derivative.
+
+    Of the postures of the fit: at a few of them only, what no geometry follows would seem to move the table by more.
+    """
     rows = np.linspace(0, len(whole.q) - 1, min(SENSED, len(whole.q))).round().astype(int)
     part = whole.at(rows)
     there = part.flange(theta)
     picked = A.reshape(len(whole.q), 6, -1)[rows].reshape(6 * len(rows), -1)
+    solution = np.linalg.pinv(picked)
     step = np.where(std > 0.0, NUDGE * std, 0.0)
-    M = np.zeros((6 * len(rows), len(theta)))
+    out = np.zeros((len(solution), len(theta)))
     for k in np.flatnonzero(step):
         moved = theta.copy()
         moved[k] += step[k]
-        M[:, k] = _rows(there, part.flange(moved)) / step[k]
-    return np.asarray(np.linalg.lstsq(picked, M, rcond=None)[0])
+        out[:, k] = solution @ (_rows(there, part.flange(moved)) / step[k])
+    return out

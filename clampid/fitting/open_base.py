@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
+from clampid.display import number
 from clampid.fitting.noise import Noise, initial_noise
 from clampid.fitting.prior_and_start import prior_of, start_of
 from clampid.fitting.solve import Estimate, stage_point
@@ -75,8 +76,9 @@ class OpenTurn:
         """A sentence for people: what is not identified, and what to state or measure. ``name``: of the session."""
         about = "the line on which the points lie" if len(self.axes) == 1 else "the place at which the points lie"
         return (
-            f"turn of the base about {about} (session {name}; they are {1e3 * self.spread:.2g} mm off it): parameters "
-            "that depend on it are not identifiable; state [base] in campaign.toml, or measure points off the line"
+            f"turn of the base about {about} (session {name}; they are {number(1e3 * self.spread, 2)} mm off it): "
+            "parameters that depend on it are not identifiable; state [base] in campaign.toml, or measure "
+            "points off the line"
         )
 
 

@@ -101,13 +101,29 @@ class ModelOnCampaign:
         return (kept[self.session],) if len(kept) > self.session else ()
 
     @substep("fitting the effects again", 0.3)
+<<<<<<< HEAD
     def refit(self, stage: Stage, rows: Rows | None = None) -> FittedStage:
         """Fit a stage's active effects to the campaigns again, from the model's values; ``rows``, if already read."""
+=======
+    def refit(self, stage: Stage, rows: Rows | None = None, *, settled: bool = False) -> FittedStage:
+        """Fit the stage's active effects to the campaigns (or their rows already read), from the model's values.
+
+        Parameters
+        ----------
+        settled
+            Whether poses are fitted once more, starting with the noise that the first fit learned. A round of ``add``
+            starts with that of the round before. So both reject the same outliers.
+        """
+>>>>>>> d17
         before = {s: m for s, m in self.stages.items() if s != stage}
         model = self.stages[stage]
         rows = self.rows(stage) if rows is None else rows
         start, held_out = model.values(), self.held_out(stage)
-        return fit_stage(rows, self.effects, model.terms, model.carried_prior or before, start, held_out)
+        others = model.carried_prior or before
+        found = fit_stage(rows, self.effects, model.terms, others, start, held_out)
+        if not (settled and model.kind.points):
+            return found
+        return fit_stage(rows, self.effects, model.terms, others, found.model.values(), held_out, last=found.estimate)
 
 
 def on_campaign(

@@ -11,13 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from clampid.diagnosis.headline import left_out_text
 from clampid.diagnosis.omission import exported_shift
 from clampid.diagnosis.result import Step
 from clampid.effect import STAGES, Effect, EffectError, Stage
-from clampid.evidence.candidates import named_candidates
-from clampid.evidence.events import event_scores
-from clampid.evidence.score import score
-from clampid.evidence.space import space_of
 from clampid.fitting.accuracy import Floor, StageErrors
 from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import (
@@ -29,6 +26,7 @@ from clampid.identification.identify import (
 )
 from clampid.identification.model_on_campaign import ModelOnCampaign, on_campaign
 from clampid.loop.change import Change, change_between
+from clampid.loop.resolving import by_effect, resolved
 from clampid.models.model import Model, Round, StageModel
 from clampid.progress import in_parts
 from clampid.shown import Shown
@@ -46,13 +44,15 @@ __all__ = ["Addition", "add", "add_steps"]
 class StageAddition:
     """What was added in one stage, the errors before and after, and what its lack had done to the exported table.
 
-    ``change`` is that of the held-out error, with its standard error.
+    ``change`` is that of the held-out error, with its standard error. ``left_out``: what was asked for and is not
+    identifiable once the effects before it are in the model.
     """
 
     added: tuple[dict[str, Any], ...]
     before: StageErrors
     after: StageErrors
     change: Change
+    left_out: tuple[str, ...] = ()
     shift: tuple[dict[str, Any], ...] = ()
 
 
@@ -71,7 +71,9 @@ class Addition(Shown):
         """Where the error has risen."""
         risen = [f"{name}: the held-out error has risen by more than its standard error." for name in self.worse]
         same = [name for name, s in self.stages.items() if s.change.within_noise]
-        return [*risen, *(f"{name}: the held-out error has not changed within its standard error." for name in same)]
+        said = [f"{name}: the held-out error has not changed within its standard error." for name in same]
+        left = [f"{name}: {left_out_text(s.left_out)}." for name, s in self.stages.items() if s.left_out]
+        return [*risen, *said, *left]
 
     def records(self) -> list[dict[str, Any]]:
         """The parameters that were added."""
@@ -104,6 +106,7 @@ class Addition(Shown):
                 name: {
                     "unit": kind_of(name).error_unit,
                     "added": list(s.added),
+                    "left_out": list(s.left_out),
                     "noise_floor": s.after.noise_floor,
                     "heldout_rms_before": s.before.heldout_rms,
                     "heldout_rms_after": s.after.heldout_rms,
@@ -127,7 +130,10 @@ def add(
     seed: int = 0,
     user_effects: Path | None = None,
 ) -> tuple[Model, Addition]:
-    """Add effects to a model and fit it again.
+    """Add effects to a model and fit it again, one effect after the other, each as a round of its own in the ledger.
+
+    Some effects are identifiable only once another is in the model, as friction is through springs. So the order
+    counts, and that of a diagnosis is the right one.
 
     Parameters
     ----------
@@ -145,7 +151,7 @@ def add(
     opened = on_campaign(model, _several(campaigns), user_effects)
     here = [s for s in stages_of(opened.campaigns) if s in opened.stages]
     wanted = _parse(terms, opened.effects, opened.layout, here)
-    mended = _added(opened, {stage: [Step(tuple(asked))] for stage, asked in wanted.items()}, seed)
+    mended = _added(opened, {stage: [*map(Step, by_effect(asked))] for stage, asked in wanted.items()}, seed)
     found = {stage: m.addition(opened.effects) for stage, m in mended.items() if m.rounds}
     for stage, asked in wanted.items():
         if stage not in found:
@@ -209,7 +215,8 @@ class _Mended:
     def addition(self, effects: Mapping[str, Effect]) -> StageAddition:
         """What was added, and the errors before the first round and after the last."""
         terms = [t for t in self.fitted.model.terms if t not in self.unmended.model.terms]
-        return StageAddition(_listed(self.fitted, terms, effects), self.before, self.after, self.change())
+        left_out = tuple(term.label for step in self.left_out for term in step.terms)
+        return StageAddition(_listed(self.fitted, terms, effects), self.before, self.after, self.change(), left_out)
 
 
 def _added(opened: ModelOnCampaign, steps: Mapping[Stage, Sequence[Step]], seed: int) -> dict[Stage, _Mended]:
@@ -259,14 +266,13 @@ def _stage_with(
             active = wanted
             compared, verification, errors = begin(fitted.model, active)
             fitted = compared
-        new_terms, shapes = _resolved(step.terms, fitted, effects)
-        if not new_terms:
+        new = resolved(step.terms, fitted, effects)
+        if not new.terms:
             left_out.append(step)
             continue
         old, worse = fitted.model, errors
-        every = (*old.terms, *new_terms)
-        start, last = {**shapes, **old.values()}, fitted.estimate
-        fitted = fit_stage(fitted.rows, effects, every, carried_prior or before, start, held_out, last=last)
+        every, last = (*old.terms, *new.terms), fitted.estimate
+        fitted = fit_stage(fitted.rows, effects, every, carried_prior or before, new.start, held_out, last=last)
         errors = fitted.errors(verification, seed, floor)
         rounds.append(_round(old, fitted.model, worse, errors, step.evidence))
     if rounds and kind_of(stage).moving:
@@ -333,36 +339,6 @@ def _parse(
         for stage in acts:
             wanted.setdefault(stage, []).append(term)
     return wanted
-
-
-def _resolved(
-    asked: Sequence[Term], fitted: FittedStage, effects: Mapping[str, Effect]
-) -> tuple[list[Term], dict[Any, float]]:
-    """The terms place by place, where these rows say anything about them, and the best start of their shapes."""
-    if not asked:
-        return [], {}
-    estimate = fitted.estimate
-    active = {slot.effect for slot in estimate.slots}
-    out = {t: None for t in asked if effects[t.effect].aligns is not None and t.effect not in active}
-    asked = [t for t in asked if effects[t.effect].aligns is None]
-    absent = {  # somebody asks for them
-        t.effect: replace(e, search=replace(e.search, opt_in=False)) for t in asked for e in (effects[t.effect],)
-    }
-    space = space_of(estimate)
-    scored = [*score(space, named_candidates(estimate, absent)), *event_scores(estimate, space, absent)]
-    shapes: dict[Any, float] = {}
-    for term in asked:
-        effect = effects[term.effect]
-        own = [s for s in scored if s.candidate.name == term.effect and s.freedom]
-        if term.place is not None and effect.search.scope == "jointly":
-            out |= {term: None} if own and term in own[0].candidate.terms else {}
-            continue
-        if term.place is not None and effect.per != "robot" and effect.search.scope != "together":
-            own = [s for s in own if s.candidate.places == (term.place,)]
-        for s in sorted(own, key=lambda s: s.explained):
-            shapes |= dict(s.candidate.shapes)
-            out |= dict.fromkeys(s.candidate.terms)
-    return list(out), shapes
 
 
 def _listed(fitted: FittedStage, terms: Sequence[Term], effects: Mapping[str, Effect]) -> tuple[dict[str, Any], ...]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from clampid.catalogue import catalogue
-from clampid.display import counted, scale_for, with_std
+from clampid.display import counted, number, scale_for, with_std
 from clampid.effect import EffectError
 from clampid.fitting.solve import FitError
 from clampid.identification.identify import identify
@@ -188,4 +188,4 @@ def _text(value: float, unit: str) -> str:
     if not np.isfinite(value):
         return "not known"
     scale = scale_for(unit, [value])
-    return f"{value * scale.factor:.3g} {scale.unit}"
+    return f"{number(value * scale.factor)} {scale.unit}"

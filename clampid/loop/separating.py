@@ -13,6 +13,7 @@ from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.next_measurement import ENOUGH, POWER, SAME, STATES, NextPlan
 from clampid.diagnosis.next_plan import Undecided, separating_plan
 from clampid.diagnosis.result import StageDiagnosis
+from clampid.display import number
 from clampid.effect import Stage
 from clampid.identification.fitted_stage import FittedStage
 from clampid.loop.confusable import Confusable, confusable_pairs, evidence_apart, fitted_with
@@ -165,7 +166,9 @@ def _alike(found: StageDiagnosis) -> str:
 
 def _expected(proposed: NextPlan) -> str:
     """What a proposal is, and what it brings."""
-    now, then, enough = (f"{np.sqrt(square):.2g} σ" for square in (proposed.before, proposed.after, ENOUGH))
+    now, then, enough = (
+        f"{number(float(np.sqrt(square)), 2)} σ" for square in (proposed.before, proposed.after, ENOUGH)
+    )
     known = f"{enough} is enough in 9 of 10 campaigns" if proposed.helps else f"{enough} would be enough, in 9 of 10"
     return f"The closest pair differs by {now}. {proposed.count} ({proposed.words}) raise this to {then}; {known}."
 

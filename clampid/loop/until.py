@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clampid.display import number
 from clampid.models.model import Model
 from experiments.plans.errors import PlanError
 
@@ -48,7 +49,7 @@ class Until:
 
     def shown(self, value: float) -> str:
         """A standard error, SI, in the unit of the condition."""
-        return f"{value / self.factor:.3g} {self.unit}" if math.isfinite(value) else "not known"
+        return f"{number(value / self.factor)} {self.unit}" if math.isfinite(value) else "not known"
 
     def reached(self, model: Model) -> tuple[float, bool]:
         """The largest standard error of what is meant, in the stage that knows it best, and whether it is enough.

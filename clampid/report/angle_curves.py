@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -73,8 +73,7 @@ def angle_curves_section(
     one = shared_curve(stage, effects, np.linspace(0.0, 2 * np.pi, CURVE_POINTS + 1))
     if one is not None:
         blocks = [_turns(one), _one_curve(one, points_on(one, poses)), *blocks]
-    far = [f"joint {j + 1}: {100 * np.mean(found.extrapolated[:, j]):.0f} % of a turn" for j in joints]
-    notes = [f"Not visited by any pose: {'; '.join(far)}."] if found.extrapolated.any() else []
+    notes = _not_visited(found, joints)
     if one is not None and notes:
         notes.append("On a shared curve a pose of any of its joints counts for all of them.")
     offered = () if diagnosis is None else diagnosis.get("stages", {}).get("poses", {}).get("simpler", ())
@@ -92,6 +91,13 @@ def angle_curves_section(
     return Section("angles", "Errors of the joints' angles", (), tuple(blocks), tuple(notes), finding=finding)
 
 
+def _not_visited(found: AngleErrors, joints: Sequence[int]) -> list[str]:
+    """The joints with angles that no pose came near, and how much of a turn that is; nothing where there are none."""
+    shares = {j: round(100 * float(np.mean(found.extrapolated[:, j]))) for j in joints}
+    far = [f"joint {j + 1}: {share} % of a turn" for j, share in shares.items() if share > 0]
+    return [f"Not visited by any pose: {'; '.join(far)}."] if far else []
+
+
 def _turns(one: SharedCurve) -> Table:
     """Phase, sign and remainder of each joint on the shared curve."""
     rows = []
@@ -100,7 +106,7 @@ def _turns(one: SharedCurve) -> Table:
         mounted = "mirrored" if one.sense[k] < 0 else "as it is"
         rows.append((f"joint {j + 1}", mounted, with_std(phase, std, DEGREES) if k else "0 (the others count from it)"))
     caption = (
-        "Joints whose angle errors share one curve g. The error of joint angle q is s g(s q - phase), with s = -1 "
+        "Joints whose angle errors share one curve g. The error of joint angle q is s g(s q − phase), with s = −1 "
         "where mirrored, plus the joint's own part: harmonics once and twice per turn, and a remainder of "
         f"{1e6 * one.deviation:.0f} µrad rms."
     )
@@ -147,7 +153,7 @@ def _one_curve(one: SharedCurve, points: list[tuple[int, Array, Array]]) -> Figu
         Line(degrees, np.where(one.extrapolated, np.nan, error), "the curve", "ink"),
         Line(degrees, np.where(one.extrapolated, error, np.nan), "no pose near", "grey"),
     ]
-    x = Axis("angle on the curve, s q - phase, degrees", 0.0, 360.0, step=30.0)
+    x = Axis("angle on the curve, s q − phase, degrees", 0.0, 360.0, step=30.0)
     plot = Chart((Panel(tuple(marks), x, Axis("arm less controller, µrad")),), 420)
     caption = (
         "The one curve of all these joints, with a band of two standard errors, and what the fitted poses say of it at "

@@ -18,6 +18,7 @@ from clampid.stages.stage_kind import kind_of
 __all__ = ["budget_section"]
 
 RING_WIDTH = 0.022  # of the axis: a ring of 16 pixels and its edge
+_IN_WORDS = {"robot": "what all joints share"}
 RING_HEIGHTS = (0.0, -0.4, 0.4)  # of a bar's distance from the next, where rings would cover each other
 
 
@@ -49,13 +50,14 @@ def _pose_blocks(data: StageData) -> list[Table | Figure]:
     low, high = float(low), max([*totals, 1e6 * floor]) * 10**0.15
     tips = [f"{name}: {number(total, 3)} µm" for name, total in zip(names, totals, strict=True)]
     marks: list[Mark] = [Bars(np.array(totals), ["blue"] * len(names), "effect as a whole", tips)]
-    dots = [(k, 1e6 * v, p) for k, s in enumerate(shares) for p, v in s.places.items() if 1e6 * v > low]
+    places = [(k, 1e6 * v, p) for k, s in enumerate(shares) for p, v in s.places.items() if 1e6 * v > low]
+    dots = [dot for dot in places if _number_of(dot[2]).isdigit()]  # a ring has room for a number
     if dots:
         tips = [f"{names[k]} at {place}: {number(v, 3)} µm" for k, v, place in dots]
         at, rows_of = np.array([v for _, v, _ in dots]), np.array([k for k, _, _ in dots])
         heights = rows_of + _apart(np.log(at) / np.log(high / low), rows_of)
         marks.append(Points(at, heights, "single joints and links, by number", "orange", 16, symbol="ring", tips=tips))
-        marks += [Label((_short(p),), v, y) for (_, v, p), y in zip(dots, heights.tolist(), strict=True)]
+        marks += [Label((_number_of(p),), v, y) for (_, v, p), y in zip(dots, heights.tolist(), strict=True)]
     marks.append(Level(1e6 * floor, "x", "noise floor"))
     panel = Panel(
         tuple(marks),
@@ -90,14 +92,14 @@ def _apart(at: Array, row: Integers) -> Array:
     return out
 
 
-def _short(place: str) -> str:
-    """The number of a joint or link."""
+def _number_of(place: str) -> str:
+    """The number of a joint or link; of other places their name."""
     return place.removeprefix("joint").removeprefix("link")
 
 
 def _largest(share: Share) -> str:
     listed = sorted(share.places.items(), key=lambda item: -item[1])[:3]
-    return ", ".join(f"{place} {error_text(v, 'm')}" for place, v in listed if v > 0) or "–"
+    return ", ".join(f"{_IN_WORDS.get(place, place)} {error_text(v, 'm')}" for place, v in listed if v > 0) or "–"
 
 
 def _torque_blocks(data: StageData) -> list[Table | Figure]:

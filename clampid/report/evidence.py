@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from clampid.display import count_text, error_text, number, scale_for, with_std
+from clampid.display import Scale, count_text, error_text, number, scale_for, with_std
 from clampid.report.limits import detection_limits, exported, shifted
 from clampid.report.style import Table, as_table
 
 __all__ = [
+    "BEYOND_LIMIT",
+    "UNCERTAIN",
     "comparison_table",
     "confusable_text",
     "evidence",
+    "explained_marks",
     "filled_table",
     "p_text",
     "parameters_text",
@@ -23,7 +26,16 @@ Json = Mapping[str, Any]
 MOST_CONSIDERED = 12
 MOST_OUTLIERS = 40
 MOST_PARAMETERS = 80
+MOST_IN_A_CELL = 6  # parameters; more have a table of their own
+UNCERTAIN = "uncertain"
+BEYOND_LIMIT = "above its limit"
 _COMPARED = "Root mean square errors of the fitted and of the held-out rows, and the noise floor."
+_FOUND = "What was found, in the order to add it; held-out errors are cumulative."
+MARKS = {
+    UNCERTAIN: "the data exclude zero, but the standard error is larger than the parameter usually is.",
+    BEYOND_LIMIT: "the value is larger than is physically plausible. The effect may stand for another one that moves "
+    "the points in the same way. Use it inside the measured range only.",
+}
 _HEADS = (
     "Effect",
     "At",
@@ -44,9 +56,8 @@ def evidence(found: Json, unit: str) -> list[Table]:
     out = []
     rows = [_candidate(c, unit) for c in found.get("candidates") or ()]
     if rows:
-        out.append(
-            filled_table(_HEADS, rows, "What was found, in the order to add it; held-out errors are cumulative.")
-        )
+        out.append(filled_table(_HEADS, rows, f"{_FOUND}{_explained(found['candidates'])}"))
+    out += [_of_places(c) for c in found.get("candidates") or () if _has_a_table(c)]
     named = {(_name(c), places_text(c)) for c in found.get("candidates") or ()}
     looked = _once([c for c in found.get("considered") or () if (_name(c), places_text(c)) not in named])
     if looked:
@@ -58,6 +69,15 @@ def evidence(found: Json, unit: str) -> list[Table]:
     out += exported(found.get("exported_shift") or ())
     out += detection_limits(found.get("testability") or ())
     return out + _outliers(found.get("outliers") or (), "Nm" if unit == "sigma" else unit)
+
+
+def explained_marks(texts: Sequence[str]) -> str:
+    """What the marks beside some values mean; empty where there are none."""
+    return "".join(f" “({mark})”: {meaning}" for mark, meaning in MARKS.items() if any(f"({mark})" in t for t in texts))
+
+
+def _explained(candidates: Sequence[Json]) -> str:
+    return explained_marks([_identified(c) for c in candidates])
 
 
 def filled_table(heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str) -> Table:
@@ -110,11 +130,18 @@ def _name(c: Json) -> str:
 def _identified(c: Json) -> str:
     """The parameters that the data determine, with their values, and how many others there are."""
     every = [{**p, "name": _short(str(p.get("name", "")), c)} for p in c.get("parameters") or ()]
-    known = [p for p in every if p.get("identified", True)]
+    known = [p for p in every if p.get("identified", True) or p.get("excludes_zero", False)]
+    if _has_a_table(c):
+        return f"{len(every)} numbers, in a table below"
     if len(known) == len(every) or len(every) > MOST_PARAMETERS:
         return parameters_text(every)
     text = parameters_text(known) if known else ""
     return f"{text}; {len(every) - len(known)} not identifiable" if text else "not identifiable"
+
+
+def _has_a_table(c: Json) -> bool:
+    """Whether the parameters of a candidate are too many for a cell, and few enough for a table."""
+    return MOST_IN_A_CELL < len(c.get("parameters") or ()) <= MOST_PARAMETERS
 
 
 def _short(name: str, c: Json) -> str:
@@ -165,8 +192,40 @@ def parameters_text(parameters: Sequence[Json] | Json) -> str:
     for p in parameters:
         value, std = float(p.get("value", float("nan"))), float(p.get("std", float("nan")))
         scale = scale_for(str(p.get("unit", "")), [value, std])
-        out.append(f"{p.get('name', '')} = {with_std(value, std, scale)}")
+        out.append(f"{p.get('name', '')} = {with_std(value, std, scale)}{marked(p)}")
     return ", ".join(out) or "–"
+
+
+def marked(p: Json) -> str:
+    """What a reader must know of a fitted value before using it."""
+    if p.get("beyond_limit"):
+        return f" ({BEYOND_LIMIT})"
+    return "" if p.get("identified", True) else f" ({UNCERTAIN})"
+
+
+def _of_places(c: Json) -> Table:
+    """The parameters of an effect that has too many for a cell: places by parameters."""
+    every = [{**p, "name": str(p.get("name", "")).removeprefix(f"{_name(c)}.")} for p in c["parameters"]]
+    at: dict[str, dict[str, Json]] = {}
+    for p in every:
+        parameter, _, place = p["name"].partition("@")
+        at.setdefault(place, {})[parameter] = p
+    names = list(dict.fromkeys(p["name"].partition("@")[0] for p in every))
+    own = {name: [row[name] for row in at.values() if name in row] for name in names}
+    scales = {name: scale_for(str(ps[0].get("unit", "")), [float(p["value"]) for p in ps]) for name, ps in own.items()}
+    heads = [f"{name}, {scales[name].unit}#" if scales[name].unit else f"{name}#" for name in names]
+    rows = [
+        (place, *(_numbered(row[name], scales[name]) if name in row else "" for name in names))
+        for place, row in at.items()
+    ]
+    return as_table(("At", *heads), rows, f"Parameters of {_name(c)}: value ± one standard error.")
+
+
+def _numbered(p: Json, scale: Scale) -> str:
+    if not (p.get("identified", True) or p.get("excludes_zero", False)):
+        return "not identifiable"
+    std = float("nan") if p.get("std") is None else float(p["std"])
+    return f"{with_std(float(p['value']), std, scale, unit=False)}{marked(p)}"
 
 
 def _plain(value: Any) -> str:

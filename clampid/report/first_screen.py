@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from clampid.diagnosis.headline import MOST_WORDS, equally_good, headline, listed, named, notes, outcome
+from clampid.diagnosis.headline import MOST_WORDS, as_added, equally_good, headline, listed, named, notes, outcome
 from clampid.display import error_text
 from clampid.effect import Stage
 from clampid.models.model import Model, Round
@@ -136,7 +136,10 @@ def _verdict(model: Model, found: Json, added: Sequence[tuple[str, str]]) -> tup
     now = _is_in(model, found)
     confirmed = any(not c["alternative"] for part in found.values() for c in part["candidates"])
     if confirmed or not added:
-        return headline(found, mended=now), outcome(found, mended=now) == "good"
+        labels: dict[str, list[str]] = {}
+        for stage, label in added:
+            labels.setdefault(stage, []).append(label)
+        return headline(as_added(found, labels) if now else found, mended=now), outcome(found, mended=now) == "good"
     names = [named(*_parts(labels)) for labels in _by_effect(added).values()]
     good = outcome(found) == "good"
     rest = "no further effect was found." if good else headline(found)

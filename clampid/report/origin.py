@@ -8,7 +8,8 @@ from importlib.metadata import PackageNotFoundError, version
 
 from clampid.effect import Effect
 from clampid.models.model import Model
-from clampid.report.style import Section, as_table
+from clampid.report.style import Command, Section, as_table
+from clampid.screen import command_lines
 from experiments.campaign import Campaign
 from kinematics.sources import load_sources
 
@@ -42,7 +43,6 @@ def origin_section(model: Model, campaign: Campaign, effects: Mapping[str, Effec
     facts = [
         ("Software", f"clampid {_version()}"),
         ("Seed", str(model.seed)),
-        ("Fitted again by", command(model, campaign)),
         ("Campaigns", "; ".join(f"{s.name} ({s.fingerprint[:16]}…)" for s in model.sessions)),
         ("Robot description", campaign.robot.source or "–"),
     ]
@@ -51,7 +51,11 @@ def origin_section(model: Model, campaign: Campaign, effects: Mapping[str, Effec
         "origin",
         "Sources, and how to do it again",
         (),
-        (as_table(("", ""), facts), as_table(("Key", "Title", "For"), rows, caption)),
+        (
+            Command(tuple(command_lines(command(model, campaign))), "This command fits the model again:"),
+            as_table(("", ""), facts),
+            as_table(("Key", "Title", "For"), rows, caption),
+        ),
         finding=f"Made by clampid {_version()}; the command below fits the model again.",
     )
 

@@ -14,6 +14,7 @@ from markupsafe import Markup
 
 from clampid.charts.style import STYLE
 from clampid.charts.svg import svg
+from clampid.display import true_minus
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model
 from clampid.progress import in_parts
@@ -23,6 +24,7 @@ from clampid.report.dh_section import dh_section
 from clampid.report.drives import drives_section
 from clampid.report.findings import findings
 from clampid.report.first_screen import FirstScreen, first_screen
+from clampid.report.ledger_figures import with_ledger_figures
 from clampid.report.measured import measured_section
 from clampid.report.origin import origin_section
 from clampid.report.parameters import parameters_section
@@ -58,6 +60,7 @@ def page(
     opened = on_campaign(model, campaign, own)
     effects, stages = opened.effects, stage_data(opened)
     poses = stages.get("poses")
+    diagnosis = with_ledger_figures(diagnosis, model, first_model)
     before = stage_data(on_campaign(first_model, campaign, own)) if first_model is not None else {}
     sure = spreads(stages, before, model.seed)
     makers: dict[str, Callable[[], Section | None]] = {
@@ -104,6 +107,7 @@ def render(title: str, campaign: str, first: FirstScreen, sections: Sequence[Sec
     environment = Environment(
         loader=PackageLoader("clampid", "report"),
         autoescape=True,
+        finalize=_finalized,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -122,9 +126,13 @@ def render(title: str, campaign: str, first: FirstScreen, sections: Sequence[Sec
 
 
 def _typeset(cell: str) -> str:
-    """A cell of numbers as printed: a true minus sign, and groups of three digits from 10 000."""
-    grouped = re.sub(r"(?<![\w.])\d{5,}", lambda digits: f"{int(digits[0]):,}".replace(",", "\u202f"), cell)
-    return re.sub(r"(?<![\w.)])-(?=\d)", "−", grouped)
+    """A cell of numbers as printed: groups of three digits from 10 000."""
+    return re.sub(r"(?<![\w.])\d{5,}", lambda digits: f"{int(digits[0]):,}".replace(",", "\u202f"), cell)
+
+
+def _finalized(value: Any) -> Any:
+    """Whatever the template prints: text with true minus signs; drawings, styles and JSON as they are."""
+    return true_minus(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def _embedded(text: str) -> Markup:

@@ -9,11 +9,13 @@ from clampid.effect import Effect
 from clampid.fitting.observability import index_words
 from clampid.models.correlations import PAIRS_SHOWN, STRONG, correlations
 from clampid.models.model import Model, StageModel
+from clampid.report.evidence import BEYOND_LIMIT, UNCERTAIN, explained_marks
 from clampid.report.stage_data import in_order, stage_title
 from clampid.report.style import Figure, Section, Table, Weak, as_table
 from clampid.role_slots import has_role, role_of
 from clampid.roles import FRAMES, Role
-from clampid.slots import find_parameter, fixed_slots, on_bound, unit_of
+from clampid.slots import beyond_limit, excludes_zero, find_parameter, fixed_slots, on_bound, unit_of
+from clampid.stages.fit_problem import parameter_of
 from kinematics.robot import RobotDescription
 
 __all__ = ["NOT_IDENTIFIABLE", "parameters_section"]
@@ -34,8 +36,8 @@ def parameters_section(model: Model, effects: Mapping[str, Effect], robot: Robot
     for stage in in_order(model.stages):
         stage_model = model.stages[stage]
         many = {name for name in {s.effect for s in stage_model.slots} if len(effects[name].parameters) > _MANY}
-        rest = zip(stage_model.slots, stage_model.identified, strict=True)
-        open_ones += sum(not ok for slot, ok in rest if slot.effect not in many)
+        single = [k for k, slot in enumerate(stage_model.slots) if slot.effect not in many]
+        open_ones += sum(not _shown(stage_model, effects, k) for k in single)
         blocks.append(stage_title(stage))
         if stage_model.base:
             blocks.append(_base(stage_model))
@@ -57,6 +59,9 @@ def parameters_section(model: Model, effects: Mapping[str, Effect], robot: Robot
             f" “{NOT_IDENTIFIABLE}”: the data do not narrow the parameter's plausible range ({open_ones} parameters). "
             "Other values than those in the model file fit equally well."
         )
+    text += explained_marks(
+        [cell for block in blocks if isinstance(block, Table) for row in block.rows for cell in row]
+    )
     if any(_rests(s, effects, k) for s in model.stages.values() for k in range(len(s.slots))):
         text += (
             f" “({_ON_BOUND})”: the value is at its physical limit, such as a friction or a clearance of zero. Without "
@@ -148,7 +153,7 @@ def _pivot(stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescrip
         unit = scales[effect, name].unit
         heads.append(f"{short if single else f'{effect} {short}'}{f', {unit}' if unit else ''}#")
     rows = [
-        (place, *(_cell(stage, effects, at.get((place, *c)), scales[c]) for c in columns))
+        (place, *(_cell(stage, effects, robot, at.get((place, *c)), scales[c]) for c in columns))
         for place in sorted(places, key=_natural)
     ]
     return as_table(("At", *heads), rows, _caption(effects, columns))
@@ -160,20 +165,32 @@ def _natural(place: str) -> tuple[str, int]:
 
 
 def _scale(stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescription, own: Sequence[int]) -> Scale:
-    known = [k for k in own if stage.identified[k]] or list(own)
+    known = [k for k in own if _shown(stage, effects, k)] or list(own)
     values = [float(v) for k in known for v in (stage.theta[k], stage.std[k])]
     return scale_for(unit_of(stage.slots[own[0]], effects, robot), values)
 
 
-def _cell(stage: StageModel, effects: Mapping[str, Effect], k: int | None, scale: Scale) -> str:
+def _shown(stage: StageModel, effects: Mapping[str, Effect], k: int) -> bool:
+    """Whether a value is shown: the data determine it, or exclude at least that it is zero."""
+    known = find_parameter(stage.slots[k], effects)
+    return bool(stage.identified[k]) or excludes_zero(known, float(stage.theta[k]), float(stage.std[k]))
+
+
+def _cell(
+    stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescription, k: int | None, scale: Scale
+) -> str:
     if k is None:
         return ""
-    if not stage.identified[k]:
-        return NOT_IDENTIFIABLE
     value, std = float(stage.theta[k]), 0.0 if fixed_slots(stage.slots, effects)[k] else float(stage.std[k])
+    if not _shown(stage, effects, k):
+        return NOT_IDENTIFIABLE
     worded = with_std(value, std, scale, unit=False)
     if _rests(stage, effects, k):
         return f"{worded} ({_ON_BOUND})"
+    if beyond_limit(parameter_of(stage.slots[k], effects, robot), value):
+        return f"{worded} ({BEYOND_LIMIT})"
+    if not stage.identified[k]:
+        return f"{worded} ({UNCERTAIN})"
     if _outside(stage, effects, k):
         worded = f"{worded} ({_BEYOND})"
     return Weak(worded) if abs(value) < SIGNIFICANT * std else worded

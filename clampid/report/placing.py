@@ -24,11 +24,18 @@ def placing_tables(tables: Json) -> list[Table]:
     for name, table in tables.items():
         found = table.get("iso9283")
         if found is not None:
-            out += [_iso9283(name, words, found[key], found["compensated_rows"], key) for key, words in _WHOSE]
+            of = found["compensated_rows"]
+            out += [_iso9283(name, words, found[key], of, key) for key, words in _WHOSE if _any_metric(found[key])]
         errors = _errors(name, table)
         if errors is not None:
             out.append(errors)
     return out
+
+
+def _any_metric(data: Json) -> bool:
+    """Whether any metric of ISO 9283 could be computed; without returns to a pose there is none."""
+    parts = (data.get(kind) or {} for kind in ("position", "orientation"))
+    return any(metric in part for part in parts for metric in MEANING)
 
 
 def _iso9283(name: str, words: str, data: Json, of: str, key: str) -> Table:

@@ -8,7 +8,7 @@ from typing import Any
 
 from clampid.charts import Chart
 
-__all__ = ["Figure", "Section", "Selector", "Table", "Weak", "as_table"]
+__all__ = ["Command", "Figure", "Section", "Selector", "Table", "Weak", "as_table"]
 
 
 class Weak(str):
@@ -31,6 +31,14 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     caption: str = ""
     folded: bool = False
+
+
+@dataclass(frozen=True)
+class Command:
+    """A shell command on lines that a reader can copy as a whole, with what it does."""
+
+    lines: tuple[str, ...]
+    caption: str
 
 
 @dataclass(frozen=True)
@@ -70,7 +78,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Section:
-    """One section of the page: paragraphs, then headings (text), tables and figures in order, then notes.
+    """One section of the page: paragraphs, then headings (text), tables, figures and commands in order, then notes.
 
     Attributes
     ----------
@@ -85,7 +93,7 @@ class Section:
     key: str
     title: str
     paragraphs: tuple[str, ...] = ()
-    blocks: tuple[str | Table | Figure, ...] = ()
+    blocks: tuple[str | Table | Figure | Command, ...] = ()
     notes: tuple[str, ...] = ()
     notes_title: str = ""
     finding: str = ""

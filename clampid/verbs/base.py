@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from clampid.display import length, quantity, with_error
+from clampid.display import length, number, quantity, with_error
 from clampid.screen import Next, Screen
 from clampid.verbs.errors import CallError
 from clampid.verbs.inputs import read_checked
@@ -85,7 +85,7 @@ def _touched(path: Path, file: Path | None, rigid: bool, effects_from: Path | No
     with out.working("fitting touches"):
         found = base_from_touches(touched, model, rigid=rigid, user_effects=effects_from)
     shares = {name: std for name, std in found.sources.items() if any(std > 0)}
-    rows = [(name, *(f"{1e6 * v:.3g}" for v in (*std[3:], *std[:3]))) for name, std in shares.items()]
+    rows = [(name, *(number(1e6 * v) for v in (*std[3:], *std[:3]))) for name, std in shares.items()]
     out.table("", ("± std by", "x [µm]", "y", "z", "about x [µrad]", "y", "z"), rows)
     counts = [(name, f"{count}", length(rms)) for name, (count, rms) in found.features.items()]
     out.table("", ("feature", "touches", "rms"), counts)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from clampid.display import fixed
 from clampid.verbs.errors import CallError
 from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
 from clampid.verbs.output import Output, output_file
@@ -317,7 +318,7 @@ def _consistent_arm(found: Mapping[str, Any]) -> list[str]:
     if "links" not in found:
         return []
     lines = [
-        f"link {link['link']}: {link['mass_kg']:.3g} kg at ({', '.join(f'{1e3 * c:.0f}' for c in link['com_m'])}) mm"
+        f"link {link['link']}: {link['mass_kg']:.3g} kg at ({', '.join(fixed(1e3 * c, 0) for c in link['com_m'])}) mm"
         for link in found["links"]
     ]
     if not found["inertia_identified"]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from clampid.diagnosis.headline import equally_good
 from clampid.diagnosis.headline import listed as joined
-from clampid.display import error_text, places_text, ranged, readable, with_error
+from clampid.display import error_text, number, places_text, ranged, readable, with_error
 from clampid.exports.determined import determined_shifts
 from clampid.verbs.limits import show_limits, show_plan
 from clampid.verbs.output import Output
@@ -84,7 +84,7 @@ def extrapolating_text(quantities: Sequence[Mapping[str, Any]]) -> str:
         value, unit = found["value"], found["unit"]
         middle = 0.5 * sum(found["identified"])
         word, edge = ("to", found["identified"][1]) if value > middle else ("from", found["identified"][0])
-        here, known = (ranged(number, unit) for number in (value, edge))
+        here, known = (ranged(v, unit) for v in (value, edge))
         parts.setdefault(found["at"], []).append(f"{found['quantity']} {word} {here}, identified {word} {known}")
     return ", ".join(f"{_place(at)} ({'; '.join(said)})" for at, said in parts.items())
 
@@ -126,12 +126,15 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
             good = equally_good(candidates)
             out.table("", columns, [_candidate(candidate, unit, candidate in good) for candidate in candidates], left=2)
             parameters = [p for candidate in candidates for p in candidate["parameters"]]
-            known = [p for p in parameters if p.get("identified", True)]
+            known = [p for p in parameters if p.get("identified", True) or p.get("excludes_zero", False)]
             if known:
                 out.table("", ("parameter", "value"), _values(known))
             if len(known) < len(parameters):
-                names = [str(p["name"]) for p in parameters if not p.get("identified", True)]
+                names = [str(p["name"]) for p in parameters if p not in known]
                 out.say(f"  not identifiable: {joined(names, 12)}")
+            beyond = [str(p["name"]) for p in known if p.get("beyond_limit")]
+            if beyond:
+                out.say(f"  above its physical limit, and may stand for another effect: {joined(beyond, 12)}")
             _show_caveats(candidates, out)
         _show_omission(part.get("omission") or (), out)
         for found in part.get("simpler", ()):
@@ -220,7 +223,7 @@ def where_text(where: str | Sequence[str]) -> str:
 
 
 def _number(value: float | None, digits: int = 3) -> str:
-    return "–" if value is None else f"{value:.{digits}g}"
+    return "–" if value is None else number(value, digits)
 
 
 def _nan(value: float | None) -> float:

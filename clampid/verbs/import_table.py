@@ -67,11 +67,13 @@ def import_table(
         content["robot"] = str((mapping.parent / str(content["robot"])).resolve())
     _look_at(_campaign(content, tables), mapping, tables, out)
     write_campaign(output, content, {table.table: table.frame for table in tables}, "csv")
+    from clampid.display import number
+
     facts = []
     for table in tables:
         facts.append((table.table, f"{len(table.frame)} rows of {table.samples} read"))
         if table.scatter is not None:
-            scatter = ", ".join(f"{1e6 * s:.3g}" for s in table.scatter)
+            scatter = ", ".join(number(1e6 * s) for s in table.scatter)
             facts.append(("", f"scatter of one sample along x, y, z: {scatter} µm"))
         if table.pairing is not None:
             facts += _pairing_facts(table.pairing)

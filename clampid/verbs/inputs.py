@@ -60,7 +60,7 @@ def finding_text(finding: Finding) -> str:
 
 
 def numbers_of(option: str, text: str | None) -> tuple[float, ...] | None:
-    """Numbers separated by commas; None where the option was not given.
+    """Numbers separated by commas, as screens print them, too; None where the option was not given.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def numbers_of(option: str, text: str | None) -> tuple[float, ...] | None:
     if text is None:
         return None
     try:
-        return tuple(float(part) for part in text.split(","))
+        return tuple(float(part) for part in text.replace("−", "-").split(","))
     except ValueError:
         raise CallError(f"{option}: expected numbers separated by commas, found {text!r}") from None
 

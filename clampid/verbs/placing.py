@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
-from clampid.display import error_text, ranged_text
+from clampid.display import error_text, number, ranged_text
 from clampid.verbs.output import Output
 
 __all__ = ["show_iso9283", "show_placing"]
@@ -85,7 +85,7 @@ def _show_both(name: str, found: Mapping[str, Any], out: Output) -> None:
         minutes = robot["position"]["span_s"] / 60
         out.say(
             f"{name}: {poses} poses with {returns} returns (ISO 9283 asks for {robot['returns_wanted']}), drift over "
-            f"up to {minutes:.3g} min"
+            f"up to {number(minutes)} min"
         )
         out.say(
             f"{name}: robot: {MEASURED}; compensated: with this model, {of} ({count} poses); "

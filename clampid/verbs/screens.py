@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clampid.diagnosis.headline import headline, listed, named, notes, outcome
-from clampid.display import change_text, count_text, counted, error_text, floor_text
+from clampid.diagnosis.headline import as_added, at_error, headline, left_out_text, listed, named, notes, outcome
+from clampid.display import change_text, count_text, counted, error_text, floor_text, number
 from clampid.screen import Errors, Next, Screen, Tone
 from clampid.stages.stage_kind import kind_of, kinds, stage_of_table
 from clampid.verbs.next_step import free_name
@@ -72,8 +72,10 @@ def _judged(rows: Sequence[tuple[str, float | None, float | None]]) -> tuple[str
         said = floor_text((error, floor) for _, error, floor in rows)
         return f"{said[0].upper()}{said[1:]}.", "good"
     times, name = max(far)
-    shown = f"{times:.2g}" if times < 99.5 else f"{times:.0f}"  # not 1e+03
-    return f"{name}: the held-out error is {shown} times the noise floor, so an effect may be missing.", "open"
+    return (
+        f"{name}: the held-out error is {number(times, 2)} times the noise floor, so an effect may be missing.",
+        "open",
+    )
 
 
 def fit_screen(
@@ -262,7 +264,10 @@ def _notes(stages: Json, mended: bool = False) -> tuple[str, ...]:
 
 def mended_screen(data: Json, model: Model, nominal: Mapping[Stage, float], done: str, steps: Sequence[Next]) -> Screen:
     """What ``auto`` found and added: ``data`` is its JSON, the ledger of ``model`` says what was added."""
-    found = data["diagnosis"]["stages"]
+    now = {name: (part["heldout_rms"], part["noise_floor"]) for name, part in data["stages"].items()}
+    found = {
+        name: at_error(part, *now[name]) if name in now else part for name, part in data["diagnosis"]["stages"].items()
+    }
     rows, facts, said = [], [], []
     for name, part in data["stages"].items():
         if weighted := weights_text(part.get("weights")):
@@ -280,7 +285,7 @@ def mended_screen(data: Json, model: Model, nominal: Mapping[Stage, float], done
         done,
         Errors(_title(list(data["stages"])), ("nominal", "start model", "this model", "noise floor"), tuple(rows)),
         tuple(facts),
-        headline(found, mended=True),
+        headline(as_added(found, {name: _still_in(model, name) for name in data["stages"]}), mended=True),
         outcome(found, mended=True),
         (*_notes(found, mended=True), *said),
         "Parameters, evidence and detection limits: --verbose, --json FILE, --report FILE.html.",
@@ -314,6 +319,8 @@ def addition_screen(data: Json, done: str, steps: Sequence[Next]) -> Screen:
             for place in ([a["where"]] if isinstance(a["where"], str) else a["where"] or [""])
         ]
         facts.append((f"{name}:", f"added {_grouped(places)}"))
+        if part.get("left_out"):
+            facts.append((f"{name}:", left_out_text(part["left_out"])))
         rise, std = part["heldout_rise"], part["heldout_rise_std"]
         if std is not None and abs(rise) <= std:
             same.append(name)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clampid.display import error_text, label_text, places_text, quantity, readable
+from clampid.display import error_text, label_text, number, places_text, quantity, readable
 from clampid.stages.stage_kind import kind_of
 from clampid.verbs.output import Output
 
@@ -256,7 +256,7 @@ def show_rounds(rounds: Iterable[Round], out: Output) -> None:
         errors = (error_text(v, unit) for v in (entry.rms, entry.heldout_rms, entry.noise_floor))
         what = "+ " + terms_text(entry.added) if entry.added else terms_text(entry.effects)
         p = entry.evidence.get("p_familywise")
-        rows.append((str(k), entry.stage, what, *errors, *(["–" if p is None else f"{p:.2g}"] if with_p else [])))
+        rows.append((str(k), entry.stage, what, *errors, *(["–" if p is None else number(p, 2)] if with_p else [])))
         notes += [f"round {k}: {said}" for said in evidence_words(entry)]
     columns = ("", "stage", "effects", "rms", "rms held out", "noise floor", *(["p family"] if with_p else []))
     out.table("rounds", columns, rows, left=3)

@@ -63,17 +63,17 @@ def notes_of(arm: IdentifiedArm, cell: Cell) -> tuple[str, ...]:
     read = {signal for slot in arm.slots for signal in arm.effects[slot.effect].needs}
     given = {"link": cell.link_temperature, "motor": cell.motor_temperature}
     said = [
-        f"the model has no effect of the {name} temperatures: they change nothing"
+        f"the {name} temperatures are not used: no effect of this model depends on them"
         for name, values in given.items()
         if values is not None and f"{name}_temperature" not in read
     ]
     timed = time_effects(arm)
     if cell.running is not None and not timed:
-        said.append("the model has no effect of time: for how long the robot has been running changes nothing")
+        said.append("the running time is not used: no effect of this model depends on it")
     if cell.running is None and timed:
         said.append(
-            f"assumed, for want of a running time: 0 s, as at a campaign's first row; the model has effects of time "
-            f"({', '.join(timed)})"
+            f"no running time is stated: 0 s is assumed, as at a campaign's first row. It matters for "
+            f"{', '.join(timed)}"
         )
     return tuple(said)
 

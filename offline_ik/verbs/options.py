@@ -55,7 +55,7 @@ def seconds(name: str, text: str | None) -> float | None:
 
 
 def numbers(name: str, text: str | None) -> list[float] | None:
-    """Numbers separated by commas, or None.
+    """Numbers separated by commas, as screens print them, too, or None.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def numbers(name: str, text: str | None) -> list[float] | None:
     if text is None:
         return None
     try:
-        return [float(part) for part in text.split(",")]
+        return [float(part) for part in text.replace("−", "-").split(",")]
     except ValueError:
         raise DetectorError(f"{name}: expected numbers separated by commas, found {text!r}") from None
 

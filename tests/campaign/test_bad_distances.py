@@ -50,7 +50,7 @@ def test_a_good_table_is_read_and_passed(campaign: Campaign) -> None:
     ("edit", "words"),
     [
         (lambda t: t.drop(columns="anchor"), "a column 'anchor'"),
-        (lambda t: t.rename(columns={"distance_m": "distance_mm"}), "'distance_mm' (expected 'distance_m')"),
+        (lambda t: t.rename(columns={"distance_m": "distance_mm"}), "'distance_mm' in place of 'distance_m'"),
         (lambda t: t.assign(distance_m=-t["distance_m"]), "expected a finite number not below 0"),
         (lambda t: t.assign(distance_m=t["distance_m"].where(t.index != 4)), "row 5 (line 6), column distance_m"),
         (

@@ -22,7 +22,7 @@ from clampid.verbs.inputs import split_effects, split_terms
         (1.234e-4, "m", "123 µm"),
         (1.7320508e-5, "m", "17.3 µm"),
         (0.0, "m", "0 µm"),
-        (-2.5e-6, "m", "-2.50 µm"),
+        (-2.5e-6, "m", "−2.50 µm"),
         (math.pi / 2, "rad", "90.0 deg"),
         (1e-4, "rad", "100 µrad"),
         (12.3456, "Nm", "12.3 Nm"),

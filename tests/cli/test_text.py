@@ -34,7 +34,7 @@ def test_history_says_p_of_the_family_and_what_is_confusable(capsys: Capture) ->
     assert "p family" in table
     lines = {line.split()[0]: line for line in table.splitlines() if line.strip()[:1].isdigit()}
     assert lines["1"].split()[-1] == lines["3"].split()[-1] == "–"
-    assert lines["2"].split()[-1] == "0.005"
+    assert lines["2"].split()[-1] == "0.0050"
     assert "+ joint_compliance at joints 2, 3 " in lines["2"]
     assert max(map(len, lines.values())) <= 100
     assert notes.splitlines() == [

@@ -156,7 +156,7 @@ def test_two_slips_are_found_to_the_row(slipped: Campaign):
     after = sorted(time.iloc[c["when"]["row"] - 1] for c in found.candidates)
     assert [a < t <= b for a, t, b in zip(before, (463.764, 810.0), after, strict=True)] == [True, True]
     assert {c["effect"] for c in found.candidates} == {"fixture_compliance"}
-    assert all("less well" in c["caveat"] for c in found.candidates)
+    assert all("larger than stated" in c["caveat"] for c in found.candidates)
 
 
 @pytest.mark.slow

@@ -158,7 +158,10 @@ def test_the_best_table_has_standard_errors_of_the_whole_model(make_model):
 
 
 def test_an_uncertain_spring_makes_the_best_table_uncertain(series_d):
-    """By as much as the table moves with it, found at a fifth of the postures; the model's own geometry does not."""
+    """By as much as the table moves with it, in each row; the model's own geometry does not.
+
+    Found at a fifth of the postures, standard errors of some rows were half as large again.
+    """
     model = series_d[1]
     stage = model.stages["poses"]
     k = stage.slots.index(Slot("joint_compliance", "c", "joint2"))
@@ -178,7 +181,7 @@ def test_an_uncertain_spring_makes_the_best_table_uncertain(series_d):
         moved = np.abs(column(softer, name) - column(model, name))
         gained = np.sqrt(np.maximum(column(unsure, std) ** 2 - column(model, std) ** 2, 0.0))
         assert np.argmax(gained) == np.argmax(moved) == 1
-        assert gained[1] == pytest.approx(moved[1], rel=0.25)
+        np.testing.assert_allclose(gained, moved, rtol=0.05, atol=0.05 * moved[1])
         assert moved.max() > column(model, std).max()
         np.testing.assert_allclose(column(unsure, std, "static"), column(model, std, "static"), rtol=1e-6)
 

@@ -237,7 +237,7 @@ def test_temperatures_change_answers_for_all(speaker: Speaker) -> None:
 
 def test_a_temperature_unused_by_the_model_is_reported(speaker: Speaker, detector: Detector) -> None:
     told = say(speaker, "temperature motor=45,45,45,45,45,45")
-    assert told["notes"] == ["the model has no effect of the motor temperatures: they change nothing"]
+    assert told["notes"] == ["the motor temperatures are not used: no effect of this model depends on them"]
     assert say(speaker, "state")["notes"] == told["notes"]
     assert say(Speaker(detector), "state")["notes"] == []
     cold = Speaker(Detector(drawn_arm(effects=("geometry",)), detector.cell))

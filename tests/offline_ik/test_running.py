@@ -69,10 +69,12 @@ def test_the_answer_is_of_the_time_that_was_said(warming: Detector) -> None:
 
 def test_what_is_assumed_of_time_is_said(warming: Detector, detector: Detector) -> None:
     assert time_effects(warming.arm) == ("warm_up_expansion",)
-    assert any("for want of a running time: 0 s" in note and "warm_up_expansion" in note for note in warming.notes)
+    assert any(
+        "no running time is stated: 0 s is assumed" in note and "warm_up_expansion" in note for note in warming.notes
+    )
     assert not any("running time" in note for note in warming.at_running(0.0).notes)
     assert not any("running" in note for note in detector.notes)
-    assert any("for how long the robot has been running changes nothing" in n for n in detector.at_running(60.0).notes)
+    assert any("the running time is not used" in n for n in detector.at_running(60.0).notes)
 
 
 def test_a_cell_file_says_it_too(warming_file: Path, tmp_path: Path) -> None:
@@ -111,7 +113,7 @@ def test_the_servers_clock_goes_on(warming: Detector) -> None:
 
     now[0] += 500.0
     assert say("state")["running_s"] == 0.0  # nobody said that it runs
-    assert any("for want of a running time" in note for note in say("state")["notes"])
+    assert any("no running time is stated" in note for note in say("state")["notes"])
     first = say("where gamma=0.3 delta=0.2 r=0.8")["solutions"][0]["q_rad"]
     assert say("temperature running=3600")["running_s"] == 3600.0
     now[0] += 1800.0

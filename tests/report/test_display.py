@@ -3,7 +3,7 @@
 import pytest
 
 from clampid.diagnosis.omission import shift_in_words
-from clampid.display import Scale, error_text, fixed, number, ranged_text, scale_for, with_error, with_std
+from clampid.display import Scale, error_text, fixed, number, ranged_text, scale_for, true_minus, with_error, with_std
 from clampid.report.page import _typeset
 
 
@@ -29,9 +29,9 @@ def test_the_largest_of_a_column_chooses_its_unit(unit, values, expected):
     ("value", "std", "text"),
     [
         (1.234e-4, 3.2e-6, "123.4 ± 3.2 µm"),
-        (-1.2e-5, 0.9e-6, "-12.00 ± 0.90 µm"),
+        (-1.2e-5, 0.9e-6, "−12.00 ± 0.90 µm"),
         (1e-6, 4e-5, "1 ± 40 µm"),
-        (-1384e-6, 48.8e-6, "-1384 ± 49 µm"),
+        (-1384e-6, 48.8e-6, "−1384 ± 49 µm"),
         (0.555293, 2.9e-3, "555300 ± 2900 µm"),
         (1e-4, 9.96e-6, "100 ± 10 µm"),
         (-1e-9, 3e-6, "0.0 ± 3.0 µm"),
@@ -53,7 +53,7 @@ def test_three_digits_without_an_error_and_no_computers_exponents():
     assert number(0.0) == "0"
     assert number(float("nan")) == "–"
     assert number(1.0e-30, 2) == "1.0·10⁻³⁰"
-    assert number(-12345.0) == "-12300"
+    assert number(-12345.0) == "−12300"
     assert fixed(-1e-9, 3) == "0.000"
 
 
@@ -68,10 +68,10 @@ def test_errors_of_stages():
 
 def test_sentences_have_the_same_digits():
     shift = {"row": "base", "parameter": "rz", "shift": -1.384e-3, "std": 4.88e-5, "unit": "rad", "at_flange_m": 2e-3}
-    assert "rz of base by -1384 ± 49 µrad" in shift_in_words([shift])
+    assert "rz of base by −1384 ± 49 µrad" in shift_in_words([shift])
 
 
 def test_a_page_sets_minus_and_thousands():
-    assert _typeset("-1384 ± 49") == "−1384 ± 49"
+    assert true_minus("-1384 ± 49") == "−1384 ± 49"
     assert _typeset("555300.25 ± 12000") == "555\u202f300.25 ± 12\u202f000"
-    assert _typeset("joint-1, 0.12345") == "joint-1, 0.12345"
+    assert _typeset("joint-1, 0.12345") == true_minus("joint-1, 0.12345") == "joint-1, 0.12345"

@@ -122,7 +122,7 @@ def test_what_is_ambiguous_says_how_to_plan_what_separates_it() -> None:
     data = found("ambiguous", one, other, next_measurement="20 poses", next_plan=plan)
     lines = first_screen(a_model(held_out=(1.07e-4,)), None, {}, data).open
     assert lines[-1] == "To plan that measurement: clampid diagnose MODEL CAMPAIGN --plan next.toml"
-    assert "The closest two differ by 2 σ; 20 proposed poses raise this to 5.8 σ." in lines
+    assert "The closest two differ by 2.0 σ; 20 proposed poses raise this to 5.8 σ." in lines
 
 
 def test_no_plan_is_offered_where_no_poses_help() -> None:

@@ -31,7 +31,7 @@ def test_a_dh_table_prints_by_the_error_and_says_what_is_open():
     row = {"d_m": 0.52, "std_d_m": 3.4e-6, "theta_offset_rad": math.radians(-32.91139), "a_m": 0.16}
     row |= {"std_theta_offset_rad": math.radians(0.22), "std_a_m": math.nan}
     assert dh_cell(row, "d_m") == "520.0000 ± 0.0034"
-    assert dh_cell(row, "theta_offset_rad") == "-32.91 ± 0.22"
+    assert dh_cell(row, "theta_offset_rad") == "−32.91 ± 0.22"
     assert dh_cell(row, "a_m") == "160"
     assert dh_cell({"d_m": 555.29, "std_d_m": 2.9}, "d_m") == "not determined"
     assert dh_cell({"d_m": 0.4, "std_d_m": 0.5}, "d_m") == "not determined"
@@ -43,8 +43,8 @@ def test_what_does_not_differ_from_zero_is_weak_and_a_friction_below_zero_is_nam
     F = [Slot("wrist_coupling_friction", "F", f"joint{j}") for j in (4, 5, 6)]
     c = Slot("joint_compliance", "c", "joint4")
     found = stage((F[0], -0.8, 2.6), (F[1], 7.03, 0.04), (F[2], 1.1, 1.3), (c, 0.4, 0.001))
-    cells = [_cell(found, effects, k, _scale(found, effects, ROBOT, [k])) for k in range(4)]
-    assert cells == ["-0.8 ± 2.6 (below zero)", "7.030 ± 0.040", "1.1 ± 1.3", "400.0 ± 1.0"]  # the last beyond a bound
+    cells = [_cell(found, effects, ROBOT, k, _scale(found, effects, ROBOT, [k])) for k in range(4)]
+    assert cells == ["−0.8 ± 2.6 (below zero)", "7.030 ± 0.040", "1.1 ± 1.3", "400.0 ± 1.0"]  # the last beyond a bound
     assert [isinstance(cell, Weak) for cell in cells] == [True, False, True, False]
 
 
