@@ -101,20 +101,17 @@ class ModelOnCampaign:
         return (kept[self.session],) if len(kept) > self.session else ()
 
     @substep("fitting the effects again", 0.3)
-<<<<<<< HEAD
-    def refit(self, stage: Stage, rows: Rows | None = None) -> FittedStage:
-        """Fit a stage's active effects to the campaigns again, from the model's values; ``rows``, if already read."""
-=======
     def refit(self, stage: Stage, rows: Rows | None = None, *, settled: bool = False) -> FittedStage:
-        """Fit the stage's active effects to the campaigns (or their rows already read), from the model's values.
+        """Fit a stage's active effects to the campaigns again, from the model's values.
 
         Parameters
         ----------
+        rows
+            The campaigns' rows, if already read.
         settled
             Whether poses are fitted once more, starting with the noise that the first fit learned. A round of ``add``
             starts with that of the round before. So both reject the same outliers.
         """
->>>>>>> d17
         before = {s: m for s, m in self.stages.items() if s != stage}
         model = self.stages[stage]
         rows = self.rows(stage) if rows is None else rows
