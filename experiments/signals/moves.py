@@ -101,7 +101,7 @@ def _between_rests(q: Array, time: Array, run: Integers) -> tuple[Integers, Inte
     """First and last rows ``(m,)`` of the moves, with some samples of the rests on either side."""
     same = (run[1:] == run[:-1]) & (time[1:] > time[:-1])
     rate = np.where(same[:, None], np.diff(q, axis=0) / np.where(same, np.diff(time), 1.0)[:, None], 0.0)
-    slowest = np.maximum(rest_threshold(rate[same]), AT_REST * np.abs(rate).max(axis=0))
+    slowest = np.maximum(rest_threshold(rate[same]), AT_REST * np.abs(rate).max(axis=0, initial=0.0))
     moving = np.any(np.abs(rate) > slowest, axis=1) & same
     if not moving.any():
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)

@@ -81,3 +81,8 @@ def test_a_sample_beside_a_change_of_acceleration_has_its_step_as_error() -> Non
     change = int(np.argmin(np.abs(time - (rest + ramp))))
     assert found.error[change, 0] > 0.9 * np.abs(qdd).max()
     assert found.error[change + 2, 0] < 1e-3
+
+
+def test_a_log_of_one_row_has_no_moves() -> None:
+    found = motion_of_moves(np.zeros((1, 6), dtype=np.float64), np.zeros(1), np.ones(1, dtype=np.int64))
+    assert np.all(np.isinf(found.error))
