@@ -224,6 +224,9 @@ def _motions_of(parts: Sequence[LogPart], step: float, default: Way, window: int
         for part, before in zip(parts, _rows_before(parts), strict=True)
         for w in _some_windows(part.table, columns, window, halo_of(step, longest))
     ]
+    torques = joint_columns("tau", "Nm", n)
+    if not any(stacked(w, torques).any() for _, _, w in read):  # a plan: no way predicts what was not measured better
+        return Motions(n, step, default), np.full((n, 2), np.nan)
     to_motor = np.linalg.inv(np.asarray(parts[0].campaign.robot.transmission))
     speed = [np.abs(_smoothest(w, n, step, longest)[w.start : w.stop] @ to_motor) for _, _, w in read]
     slow = CLEAR_MOTION * np.max([v.max(axis=0) for v in speed], axis=0)
@@ -235,7 +238,7 @@ def _motions_of(parts: Sequence[LogPart], step: float, default: Way, window: int
             own = np.zeros(len(w.columns["time_s"]), dtype=bool)
             own[w.start : w.stop] = chosen_rows(before + w.first + np.arange(w.start, w.stop), rows)
             motion, misfit = motions.with_misfit(w, own)
-            torque, moving = stacked(w, joint_columns("tau", "Nm", n))[own], (fast > slow)[own[w.start : w.stop]]
+            torque, moving = stacked(w, torques)[own], (fast > slow)[own[w.start : w.stop]]
             number = before + w.first + np.flatnonzero(own)
             excerpts.append(Excerpt(campaign, motion.of(own), torque, moving, number, misfit[own]))
         return Regression(excerpts, rows)

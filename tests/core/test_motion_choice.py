@@ -13,7 +13,7 @@ from clampid.identification.identify import identify, standard_effects
 from clampid.loop.auto import auto
 from clampid.stages import motion_choice
 from clampid.stages.log_facts import WINDOW_S, LogFacts, facts_of, log_parts
-from clampid.stages.motion_choice import BLOCKS
+from clampid.stages.motion_choice import BLOCKS, Way
 from experiments.campaign import Campaign, read_campaign
 from experiments.log_windows import windows
 from experiments.second_world import draw_robot, measure
@@ -49,6 +49,17 @@ def with_jitter(campaign: Campaign, std_rad: float, seed: int) -> Campaign:
 
 def facts(campaign: Campaign) -> LogFacts:
     return facts_of(log_parts([campaign]))
+
+
+def test_where_no_torque_was_measured_none_is_predicted(log: Campaign, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plans are seen as logs without torques, one for each program that is tried: no way is looked for in them."""
+    unmeasured = with_log(log, log.tables["free_air"].assign(**{f"tau{j}_Nm": 0.0 for j in range(1, 7)}))
+    monkeypatch.setattr("clampid.stages.log_facts.chosen_way", lambda *_: pytest.fail("it looks for a way"))
+    found = facts(unmeasured)
+    assert found.motions.way == Way(logged=True, window_s=WINDOW_S)
+    assert np.all(np.isinf(found.regression))
+    with pytest.raises(pytest.fail.Exception):
+        facts(replace(log, fingerprint="measured"))
 
 
 def test_noise_of_positions_asks_for_a_longer_window(log: Campaign) -> None:
