@@ -29,8 +29,9 @@ from virtual_log import rows_of, virtual_log
 
 from clampid.catalogue import catalogue
 from clampid.fitting.fit_log import LogNoise, LogPrior, fit_log, summed
+from clampid.fitting.prior_and_start import prior_of, start_of
 from clampid.fitting.priors import description_priors
-from clampid.fitting.solve import limits_of, prior_of, start_of
+from clampid.fitting.solve import limits_of
 from clampid.identification.identify_log import LogStage
 from clampid.slots import Term
 from clampid.stages.layout import layout_of

@@ -24,11 +24,14 @@ from typing import Any
 HIDDEN = "gear_eccentricity@joint2:2"
 
 
+PROGRAM = (sys.executable, "-m", "clampid")
+
+
 def clampid(*words: str, code: int = 0) -> None:
     """Run a command, print it, and expect its exit code."""
     print(f"$ clampid {shlex.join(words)}", flush=True)
     start = time.monotonic()
-    done = subprocess.run([sys.executable, "-m", "clampid", *words], capture_output=True, text=True, check=False)
+    done = subprocess.run([*PROGRAM, *words], capture_output=True, text=True, check=False)
     print(done.stdout, end="")
     if done.returncode != code:
         raise RuntimeError(f"expected exit code {code}, found {done.returncode}: {done.stderr[-2000:]}")

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from clampid.fitting.fit import OUTLIER_SHARE
-from clampid.fitting.noise import NORMAL
+from clampid.fitting.noise import MAD_TO_STD
 from clampid.stages.rows import Array, Bools, Integers, Rows
 from experiments.campaign import CampaignError
 from kinematics.poe import joint_transforms
@@ -166,7 +166,7 @@ def _without_outliers(rows: Rows, circles: Sequence[Circle], points: Array, star
         np.maximum.at(size, found.point, np.abs(found.misfit))
         # The worst first: it has drawn the circles of others away from them.
         limit = max(
-            OUTLIER_DEVIATIONS * NORMAL * float(np.median(np.abs(found.misfit))) + 1e-12, 0.5 * float(size.max())
+            OUTLIER_DEVIATIONS * MAD_TO_STD * float(np.median(np.abs(found.misfit))) + 1e-12, 0.5 * float(size.max())
         )
         left = found.used & (size <= limit)
         if np.array_equal(left, found.used):

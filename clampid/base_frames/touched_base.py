@@ -20,7 +20,7 @@ from scipy import stats
 
 from clampid.base_frames.touches import Touches, descend, starts_of, touches_of
 from clampid.base_frames.yielding import Yielding, gives_way, what_yields
-from clampid.fitting.noise import NORMAL
+from clampid.fitting.noise import MAD_TO_STD
 from clampid.models.model import Model, ModelError
 from clampid.models.own_effects import effects_of
 from clampid.role_slots import has_role
@@ -229,7 +229,7 @@ def _fitted(touches: Touches, shared: _Shared, start: Array | None) -> tuple[_Fi
     while True:
         spread = np.sqrt(np.diag(sum(shared.parts(fitted.touches, *_lines(fitted), kept).values())))
         size = np.abs(fitted.misfit) / spread
-        limit = OUTLIER_DEVIATIONS * max(NORMAL * float(np.median(size)), 1.0)
+        limit = OUTLIER_DEVIATIONS * max(MAD_TO_STD * float(np.median(size)), 1.0)
         worst = int(np.argmax(size))
         if size[worst] <= limit:
             return fitted, kept

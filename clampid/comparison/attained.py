@@ -1,8 +1,8 @@
-"""Where a robot went at each pose against where it was sent: as its controller has it, and with a model's help.
+"""Errors of attained against commanded poses, and their metrics by ISO 9283.
 
-Sent: the nominal chain at the mean of the joint angles reported at a pose's returns, so that all returns share one
-command. Nobody knows where the instrument sees the base or where targets sit on the flange; both are fitted to these
-rows, and are thus as good as a workshop could make them: errors of a robot as its controller has it are at least these.
+The commanded pose is that of the nominal chain at the mean of the joint angles reported at all returns to a pose, so
+all returns share one command. The base in the instrument frame and the targets on the flange are not known. Both are
+fitted to the same rows, so the errors found are a lower limit of those of the uncompensated robot.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from kinematics.screws import log_so3, nearest_rotation
 
 __all__ = ["Attained", "as_sent", "iso9283"]
 
-STILL = 1e-4  # rad: a joint that moves less than this in a whole table stands still, and comes from no side
-FLAT = 1e-3  # m: targets that are on a line to this do not determine a turn about it
+LARGEST_REST_RANGE = 1e-4  # rad (m): a joint with a smaller range in a table is at rest and has no approach direction
+LEAST_TARGET_SPREAD = 1e-3  # m: targets closer to a line do not determine the rotation about it
 
 
 @dataclass(frozen=True)
 class Attained:
-    """Errors of the robot as its controller has it.
+    """Errors of the uncompensated robot.
 
     Attributes
     ----------
     residual
-        ``(N, m)``: measured less sent, instrument frame, m and, with orientations, rad.
+        Measured less commanded ``(N, m)``, instrument frame, m and, with orientations, rad.
     reported
-        m: how far the angles reported at returns to one pose are from their mean, at the farthest, at the point.
+        Largest displacement of the point between the reported angles of a return and their mean over the returns, m.
     fitted
-        How many numbers of base, targets and flange were fitted to the same rows.
+        Number of parameters of base, targets and flange that were fitted to the same rows.
     """
 
     residual: Array
@@ -47,7 +47,10 @@ class Attained:
 
 
 def as_sent(rows: Rows, effects: Mapping[str, Effect]) -> Attained:
-    """Errors of rows of poses of one session against the nominal chain, base and targets fitted to the same rows."""
+    """Errors of poses of one session against the nominal chain, with base and targets fitted to the same rows.
+
+    ``effects``: name → effect.
+    """
     _, place = np.unique(np.c_[rows.session, rows.fold], axis=0, return_inverse=True)
     sums = np.zeros((int(place.max()) + 1, rows.robot.n))
     np.add.at(sums, place, rows.signals["q"])
@@ -68,20 +71,22 @@ def as_sent(rows: Rows, effects: Mapping[str, Effect]) -> Attained:
 
 
 def iso9283(rows: Rows, residual: Array) -> dict[str, Any]:
-    """Metrics of ISO 9283 of rows of poses, for programs.
+    """Metrics of ISO 9283 of rows of poses, for JSON.
 
     Parameters
     ----------
+    rows
+        Rows of poses.
     residual
-        ``(N, m)``: measured less commanded, instrument frame, m and, with orientations, rad.
+        Measured less commanded ``(N, m)``, instrument frame, m and, with orientations, rad.
 
     Returns
     -------
     dict
-        ``returns_wanted``, ``position`` and, where orientations were measured or follow from three targets or more of
-        one visit, ``orientation``; both as :class:`experiments.measures.iso9283.PoseMetrics` says them.
-        ``RP_by_instrument`` of positions is what thirty returns of a perfect robot would show with the instrument's
-        stated noise.
+        ``returns_wanted``, ``position`` and ``orientation``; the last two as in
+        :class:`experiments.measures.iso9283.PoseMetrics`. ``orientation`` is present if orientations were measured or
+        follow from three or more targets of one visit. ``RP_by_instrument`` of positions is the RP of thirty returns of
+        a perfect robot with the instrument's stated noise.
     """
     used = np.flatnonzero(rows.used[:, 0])
     frame = rows.pose.base_reference[:, :3, :3]
@@ -101,10 +106,16 @@ def iso9283(rows: Rows, residual: Array) -> dict[str, Any]:
 
 
 def _labels(rows: Rows, chosen: Integers, target: Array) -> tuple[Integers, Integers, Integers, Array]:
-    """Numbers of pose and target, of pose, and of side of approach, -1 if not known, and time, ``(k,)`` each."""
+    """Labels of the rows ``chosen`` ``(k,)``, for :func:`~experiments.measures.iso9283.pose_metrics`.
+
+    Returns
+    -------
+    place, number, side, time
+        Number of pose and target, of pose, and of approach direction (-1 if unknown); time, s; ``(k,)`` each.
+    """
     pose = np.c_[rows.session, rows.fold]
     direction = rows.signals["direction"][chosen]
-    moved = np.ptp(rows.signals["q"], axis=0) > STILL
+    moved = np.ptp(rows.signals["q"], axis=0) > LARGEST_REST_RANGE
     _, place = np.unique(np.c_[pose, target][chosen], axis=0, return_inverse=True)
     _, number = np.unique(pose[chosen], axis=0, return_inverse=True)
     _, side = np.unique(direction[:, moved], axis=0, return_inverse=True)
@@ -114,7 +125,7 @@ def _labels(rows: Rows, chosen: Integers, target: Array) -> tuple[Integers, Inte
 
 
 def _turns(rows: Rows, residual: Array) -> tuple[Integers, Array] | None:
-    """One row of each visit and its error of orientation ``(k, 3)``, instrument frame; None where none is known."""
+    """One row of each visit ``(k,)``, and its orientation error ``(k, 3)``, rad, instrument frame; None if unknown."""
     if residual.shape[1] == 6:
         chosen = np.flatnonzero(rows.used[:, 0] & rows.used[:, 3])
         _, first = np.unique(rows.unit[chosen], return_index=True)
@@ -128,7 +139,7 @@ def _turns(rows: Rows, residual: Array) -> tuple[Integers, Array] | None:
         there = rows.measured[here, :3]
         sent = there - residual[here, :3]
         a, b = sent - sent.mean(axis=0), there - there.mean(axis=0)
-        if np.linalg.svd(a, compute_uv=False)[1] < FLAT:
+        if np.linalg.svd(a, compute_uv=False)[1] < LEAST_TARGET_SPREAD:
             continue
         found.append(here[0])
         turns.append(log_so3(nearest_rotation(a, b)))

@@ -1,4 +1,4 @@
-"""Comparison: model against measurement, table by table, fitted rows and held-out rows apart."""
+"""Comparison of a model with a campaign: errors of each table, on fitted and on held-out rows."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ import numpy as np
 
 from clampid.comparison.compensation import Compensation, compensation_of
 from clampid.comparison.placing import placing
+from clampid.comparison.table_errors import table_errors
 from clampid.effect import Stage
-from clampid.fitting.accuracy import Floor, cross_validated, noise_floor, predicted, size_of
+from clampid.fitting.accuracy import cross_validated, noise_floor, predicted
 from clampid.fitting.fit import fit, without_outlying
 from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import held_out_folds
@@ -41,15 +42,17 @@ class Comparison(Shown):
 
     Attributes
     ----------
+    model, campaign
+        Names of the robot and of the campaign.
     tables
-        Table → what INTERFACE's JSON of ``compare`` has for it; SI.
+        Table → its errors, SI, as in the JSON of ``compare``.
     drives, drives_p
-        Whether clamped sweeps and poses agree on springs and clearances, joint by joint, and the p-value of all
-        together; empty and None where the model or the campaign does not have both.
+        Agreement of clamped sweeps and poses on springs and clearances, and the p-value of all together; empty and
+        None if the model or the campaign does not have both.
     compensation
-        How much of the model's deflections stands in the poses, and what mistake in a compensation that is.
+        The share of the model's deflections in the poses, and a mistake in their compensation; None if unknown.
     units
-        Of the parameters in ``drives``, on this robot.
+        Slot → unit of the parameters in ``drives``, on this robot.
     """
 
     model: str
@@ -61,11 +64,11 @@ class Comparison(Shown):
     units: Mapping[Slot, str] = field(default_factory=dict)
 
     def title(self) -> str:
-        """What it is, in a line."""
+        """The comparison in one line."""
         return f"{self.model} against {self.campaign}: {', '.join(self.tables)}"
 
     def records(self) -> list[dict[str, Any]]:
-        """The errors of each table, on all its rows and on those held out."""
+        """The errors of each table as records, on all its rows and on held-out rows."""
         keys = ("rows", "rms", "mean", "max", "p95")
         out = []
         for name, table in self.tables.items():
@@ -76,7 +79,7 @@ class Comparison(Shown):
         return out
 
     def errors(self) -> dict[str, tuple[str, dict[str, float | None]]]:
-        """Table → its errors."""
+        """Table → unit and rms errors."""
         return {
             name: (t["unit"], {"all rows": t.get("rms"), "held out": (t.get("heldout") or {}).get("rms"),
                                "noise floor": t.get("noise_floor")})
@@ -84,7 +87,7 @@ class Comparison(Shown):
         }  # fmt: skip
 
     def to_json(self) -> dict[str, Any]:
-        """For programs."""
+        """The comparison for JSON."""
         data: dict[str, Any] = {"model": self.model, "campaign": self.campaign, "tables": self.tables}
         if self.drives:
             each = [{**a.to_json(), "unit": self.units[a.slot]} for a in self.drives]
@@ -109,19 +112,26 @@ def compare(
 
     Parameters
     ----------
+    model, campaign
+        The model and the campaign.
     refit
-        ``base``, ``tool`` or both: only these are fitted to the campaign's poses, on a share of whole poses; the rest
-        is held out.
+        ``base``, ``tool`` or both: only these are fitted to the campaign's poses.
+    refit_fraction
+        Share of whole poses for this fit, between 0 and 1; all others are held out.
+    seed
+        For the choice of held-out rows and cross-validation.
+    user_effects
+        File or folder of the user's own effects.
     sample
-        x, y, z, m, robot base frame: a point about which held-out errors of poses are split into radial ones and those
-        along the sphere.
+        Position x, y, z of a sample, m, robot base frame: held-out errors of poses are split into their radial and
+        tangential parts about it.
 
     Raises
     ------
     ModelError
-        The model does not fit the campaign.
+        The model cannot be applied to the campaign.
     ValueError
-        ``refit`` names something else, or the share is not between 0 and 1.
+        ``refit`` names something else, the share is not between 0 and 1, or ``sample`` is given without poses.
     """
     for part in refit:
         if part not in ("base", "tool"):
@@ -136,8 +146,8 @@ def compare(
         if kind_of(stage).points and (refit or opened.session is None):
             if not refit and opened.session is None:
                 raise ModelError(
-                    f"the model was not fitted on {campaign.name}, so that nothing says where its instrument and "
-                    "targets stand: use --refit base,tool"
+                    f"the model was not fitted on {campaign.name}: the positions of its instrument and targets are "
+                    "unknown; use --refit base,tool"
                 )
             tables |= _refitted(opened, refit, refit_fraction, seed, sample)
         else:
@@ -154,7 +164,7 @@ def compare(
 
 
 def _independent_drives(opened: ModelOnCampaign) -> tuple[StageModel, StageModel] | None:
-    """The clamped stage and the poses, fitted so that neither knows of the other; None where one of them is missing."""
+    """The clamped stage and the pose stage, fitted independently of each other; None if one of them is missing."""
     here = {s: m for s, m in opened.stages.items() if s in opened.campaign.tables}
     clamped, poses = known_of(here, "solved"), known_of(here, "points")
     if clamped is None or poses is None or opened.session is None:
@@ -164,7 +174,7 @@ def _independent_drives(opened: ModelOnCampaign) -> tuple[StageModel, StageModel
     before = {name: stage for name, stage in opened.stages.items() if name not in (clamped.stage, poses.stage)}
     alone = []
     for stage in (clamped, poses):
-        if stage is clamped and stage.carried_prior is None:  # stage by stage it knows nothing of the poses anyway
+        if stage is clamped and stage.carried_prior is None:  # fitted stage by stage, it is independent of the poses
             alone.append(stage)
             continue
         rows, held_out = opened.rows(stage.stage), opened.held_out(stage.stage)
@@ -175,7 +185,7 @@ def _independent_drives(opened: ModelOnCampaign) -> tuple[StageModel, StageModel
 def _as_fitted(
     opened: ModelOnCampaign, stage: Stage, seed: int, sample: Sequence[float] | None
 ) -> dict[str, dict[str, Any]]:
-    """Every table of a stage at the model's own values."""
+    """Table → errors of a stage with the model's values."""
     model = opened.stages[stage]
     rows = opened.rows(stage)
     bad = np.zeros(len(rows), dtype=bool)
@@ -191,7 +201,7 @@ def _as_fitted(
 
     @cache
     def kept_out() -> tuple[Rows, Array, Bools]:
-        """Rows of these tables that no fit has seen, or each predicted by a fit without it."""
+        """Rows, their residual, and which are held out; by cross-validation if the model was fitted on all rows."""
         if opened.session is None or any(held_out):
             return rows, residual, ~fitted
         estimate = opened.refit(stage, settled=True).with_best_weights(seed).estimate
@@ -213,9 +223,9 @@ def _as_fitted(
             chosen = tested & (test.table == table)
         if kind_of(stage).points:
             floor = noise_floor(rows.take(own), residual[own])
-        out[table] = _table(rows, residual, shown, test, test_residual, chosen, floor)
+        out[table] = table_errors(rows, residual, shown, test, test_residual, chosen, floor)
         if kind_of(stage).points:
-            out[table] |= _beyond(opened, test, chosen)
+            out[table] |= _extrapolation(opened, test, chosen)
         if kind_of(stage).points and table == stage:
             out[table] |= _placed(opened, rows, residual, test, test_residual, chosen, sample)
     return out
@@ -230,90 +240,27 @@ def _placed(
     chosen: Bools,
     sample: Sequence[float] | None,
 ) -> dict[str, Any]:
-    """What is reported for points only."""
+    """The fields for measured points, without distances."""
     kept = ~test.ranged
     found = test_residual[kept], chosen[kept]
     return placing(rows.points, residual[~rows.ranged], test.points, *found, opened.effects, sample)
 
 
-def _table(
-    rows: Rows,
-    residual: Array,
-    shown: Bools,
-    test: Rows,
-    test_residual: Array,
-    chosen: Bools,
-    floor: Floor,
-) -> dict[str, Any]:
-    poses, counts = rows.kind.points, rows.used.any(axis=1)
-    entry: dict[str, Any] = {
-        "unit": "m" if poses else "sigma",
-        "rows": int((shown & counts).sum()),
-        **_numbers(rows, residual, shown, floor),
-        "noise_floor": floor.norm if poses else 1.0,
-        "noise_source": floor.source,
-    }
-    if poses and rows.ranged[shown].any():
-        entry["measured"] = "distances"
-    seen = test.used.any(axis=1)
-    entry["heldout"] = {"rows": int((chosen & seen).sum()), **_numbers(test, test_residual, chosen, floor)}
-    wrong = chosen & ~seen & (test.table == "verification")
-    if wrong.any():
-        whole = np.linalg.norm(test_residual[chosen, :3], axis=1)
-        entry["heldout"] |= {
-            "outliers": test.row[wrong].tolist(),
-            "rms_with_outliers": float(np.sqrt(np.mean(whole**2))),
-        }
-    if rows.kind.moving or rows.kind.solved:
-        entry["per_motor"] = [
-            {
-                **_motor(rows, residual, shown, c),
-                "noise_floor_Nm": float(floor.sigma[c]),
-                "heldout": _motor(test, test_residual, chosen, c),
-            }
-            for c in range(rows.robot.n)
-        ]
-    return entry
-
-
-def _numbers(rows: Rows, residual: Array, chosen: Bools, floor: Floor) -> dict[str, float | None]:
-    size, counts = size_of(rows, residual, floor)
-    picked = np.abs(size[chosen][counts[chosen]])
-    if not picked.size:
-        return {"rms": None, "mean": None, "max": None, "p95": None}
-    return {
-        "rms": float(np.sqrt(np.mean(picked**2))),
-        "mean": float(np.mean(picked)),
-        "max": float(np.max(picked)),
-        "p95": float(np.quantile(picked, 0.95)),
-    }
-
-
-def _motor(rows: Rows, residual: Array, chosen: Bools, motor: int) -> dict[str, float | None]:
-    used = chosen & rows.used[:, motor]
-    if used.sum() < 2:
-        return {"rms_Nm": None, "r2": None}
-    r, y = residual[used, motor], rows.measured[used, motor]
-    spread = float(np.sum((y - y.mean()) ** 2))
-    r2 = 1.0 - float(np.sum(r**2)) / spread if spread > 0 else None
-    return {"rms_Nm": float(np.sqrt(np.mean(r**2))), "r2": r2}
-
-
 def _refitted(
     opened: ModelOnCampaign, refit: Sequence[str], share: float, seed: int, sample: Sequence[float] | None
 ) -> dict[str, dict[str, Any]]:
-    """The poses with only base, tool or both fitted anew on a share of whole poses; the rest is held out."""
+    """Table → errors of the poses, with only base, tool or both fitted on a share of whole poses."""
     model, rows = only_of(opened.stages, "points"), opened.rows("poses")
     held_out = held_out_folds(rows, 1.0 - share, seed)
     out = rows.in_folds(held_out)
     if not (~out).any() or not out.any():
         raise ModelError(f"{opened.campaign.name}: too few poses to refit on a share of {share:g} of them")
-    moved = _moved_slots(opened, rows, refit)
+    moved = _refitted_slots(opened, rows, refit)
     slots = (*(s for s in model.slots if s not in moved), *moved)
     known = model.values()
     values = np.array([known.get(s, 0.0) for s in slots])
     fixed = tuple(s for s in slots if s not in moved)
-    # What is not fitted anew is fixed where the model has it, as tightly as numbers allow.
+    # All other parameters are fixed at the model's values, by a prior as narrow as rounding allows.
     trial = fit_problem(rows.take(~out), opened.effects, slots, model.lean)
     size = trial.sizes()[: len(fixed)]
     prior = Prior(fixed, values[: len(fixed)], np.diag((1e-7 * size) ** 2))
@@ -323,19 +270,19 @@ def _refitted(
     for table in dict.fromkeys(rows.table.tolist()):
         own = rows.table == table
         floor, chosen = noise_floor(rows.take(own), residual[own]), own & out
-        found[table] = _table(rows, residual, own & ~out, rows, residual, chosen, floor)
-        found[table] |= _beyond(opened, rows, chosen)
+        found[table] = table_errors(rows, residual, own & ~out, rows, residual, chosen, floor)
+        found[table] |= _extrapolation(opened, rows, chosen)
         if table == rows.stage:
             found[table] |= _placed(opened, rows, residual, rows, residual, chosen, sample)
     return found
 
 
-def _beyond(opened: ModelOnCampaign, rows: Rows, chosen: Bools) -> dict[str, Any]:
-    """How many of the held-out rows ask the model for what it was not identified on, and for what.
+def _extrapolation(opened: ModelOnCampaign, rows: Rows, chosen: Bools) -> dict[str, Any]:
+    """Fields on extrapolation: held-out rows outside the ranges that the model was identified on.
 
-    Nothing of ranges that the model file does not have, nor of curves that the model does not have.
+    A field is missing if the model has no ranges, or no curves of angle errors.
     """
-    curves = _extrapolated(opened, rows, chosen)
+    curves = _curve_extrapolation(opened, rows, chosen)
     entry: dict[str, Any] = {} if curves is None else {"extrapolated": curves}
     stage = only_of(opened.stages, "points")
     if stage.ranges is not None:
@@ -345,12 +292,11 @@ def _beyond(opened: ModelOnCampaign, rows: Rows, chosen: Bools) -> dict[str, Any
     return entry
 
 
-def _extrapolated(opened: ModelOnCampaign, rows: Rows, chosen: Bools) -> dict[str, Any] | None:
-    """Which share of the held-out rows, joint by joint, stands at angles that no pose of the fit came near.
+def _curve_extrapolation(opened: ModelOnCampaign, rows: Rows, chosen: Bools) -> dict[str, Any] | None:
+    """Share of the held-out rows at joint angles far from all fitted poses, in all and for each joint.
 
-    Of joints on one curve a pose of any counts for all.
-
-    None where the model has no angle errors that depend on where a joint stands.
+    For joints that share one curve, a pose of any of them counts for all. None if the model has no curves of angle
+    errors.
     """
     q = rows.signals["q"][chosen]
     found = angle_errors(only_of(opened.stages, "points"), opened.effects, opened.layout, rows.robot, q)
@@ -363,11 +309,11 @@ def _extrapolated(opened: ModelOnCampaign, rows: Rows, chosen: Bools) -> dict[st
     return {"share": float(far.any(axis=1).mean()), "joints": joints, **together}
 
 
-def _moved_slots(opened: ModelOnCampaign, rows: Rows, refit: Sequence[str]) -> tuple[Slot, ...]:
-    """The slots of base and tool in this campaign."""
+def _refitted_slots(opened: ModelOnCampaign, rows: Rows, refit: Sequence[str]) -> tuple[Slot, ...]:
+    """The slots of base or tool that are fitted to this campaign."""
     found: list[Slot] = []
     session = opened.layout.sessions[0]
-    if "base" in refit:  # where anchors stand is as much the instrument's as that
+    if "base" in refit:  # anchors are fixed to the instrument, so they are fitted with the base
         found += [slot_of("anchor_point", anchor, a) for anchor in opened.layout.anchors for a in "xyz"]
     if "base" in refit and not rows.ranged.all():
         found += [slot_of("base_frame", session, a) for a in ("x", "y", "z", "rx", "ry", "rz")]

@@ -1,4 +1,4 @@
-"""The error of the nominal robot, which every model must improve."""
+"""Errors of the nominal robot, the reference that a model must improve on."""
 
 from __future__ import annotations
 
@@ -22,17 +22,20 @@ __all__ = ["nominal_errors", "nominal_points"]
 def nominal_errors(
     model: Model, campaigns: Campaign | Sequence[Campaign], user_effects: Path | None = None
 ) -> dict[Stage, float]:
-    """The error of each stage with the description alone.
+    """The rms error of each stage with the robot description alone, over all campaigns.
 
-    Poses: rms of position errors, m, with base and targets (or the flange's target) fitted to the same rows, because
-    nobody can know these from a description. Several campaigns count together. Torques in free air: rms in units of
-    each motor's noise, with the described masses and no friction. Clamped torques have none: a description has no
-    springs.
+    Poses: position errors, m, with base and targets fitted to the same rows, since a description does not have them.
+    Free air: torque errors in units of each motor's noise, with the described masses and no friction. Clamped sweeps
+    have none, since a description has no springs.
 
     Parameters
     ----------
     model
-        For what was rejected and how large a motor's noise is.
+        The model whose outliers are left out, and whose residual gives the motors' noise.
+    campaigns
+        One or several campaigns.
+    user_effects
+        File or folder of the user's own effects.
 
     Raises
     ------
@@ -56,7 +59,7 @@ def nominal_errors(
 
 
 def _points(opened: ModelOnCampaign) -> tuple[float, int] | None:
-    """Root mean square and number of points; None where distances were measured instead."""
+    """Rms position error, m, and number of points; None if no points were measured."""
     if "poses" not in opened.campaign.tables:
         return None
     rows = opened.rows("poses").points
@@ -69,16 +72,16 @@ def _points(opened: ModelOnCampaign) -> tuple[float, int] | None:
 
 
 def nominal_points(rows: Rows, effects: Mapping[str, Effect], good: Bools) -> float:
-    """Root mean square of the position errors of the robot as described, m, of points that count ``(N,)``.
+    """Rms position error of the described robot, m, over the points marked by ``good`` ``(N,)``.
 
-    Base and targets, or the flange's target, are fitted to these points.
+    Base and targets are fitted to these points.
     """
     error = as_sent(rows.without(~good), effects).residual[good, :3]
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
 def _torques(opened: ModelOnCampaign) -> tuple[float, int]:
-    """Root mean square in units of the motors' noise, and number of rows."""
+    """Rms torque error in units of the motors' noise, and number of rows."""
     rows = opened.rows("free_air")
     found = opened.fit_problem("free_air", rows)
     floor = noise_floor(rows, predicted(found, only_of(opened.stages, "moving").theta))

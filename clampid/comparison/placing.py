@@ -1,4 +1,4 @@
-"""How well a robot reaches its poses, beside a comparison: metrics of ISO 9283, and errors about a sample."""
+"""Pose accuracy in a comparison: metrics of ISO 9283, of the universal model, and about a sample."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ def placing(
     effects: Mapping[str, Effect],
     sample: Sequence[float] | None = None,
 ) -> dict[str, Any]:
-    """Extra fields of a comparison of poses.
+    """Further fields of a comparison of poses.
 
     Parameters
     ----------
     rows, residual
-        All rows of the table and what the model leaves of them, ``(N, 3)`` or more, m.
+        All rows of the table, and their residual by the model ``(N, 3)`` or more, m.
     test, test_residual, chosen
-        Rows held out.
+        Rows that contain the held-out ones, their residual by the model, and which of them are held out.
     effects
-        The catalogue.
+        The catalogue: name → effect.
     sample
-        ``(3,)`` m, base frame.
+        Position of a sample ``(3,)``, m, base frame; None: none.
 
     Returns
     -------
     dict
-        ``iso9283``: ``robot``, as its controller has it, ``compensated``, the command being where the model says that
-        the point is, so that AP is what compensation would leave, and ``compensated_rows``, of which rows that is
-        (``held out`` where places among these were returned to, else ``all``). ``universal`` (P_mean, P_std, P_max of
-        held-out errors) and ``sample`` (radial and along the sphere, root mean square and maximum), m. ``robot``:
-        ``rows``, ``universal`` and ``sample`` of the robot as its controller has it.
+        ``iso9283`` has ``robot``, of the uncompensated robot, and ``compensated``, with the model's prediction as the
+        command: its AP is what a compensation would leave. ``compensated_rows`` says of which rows: ``held out`` if
+        poses among these were visited again, else ``all``. ``universal`` has P_mean, P_std and P_max of held-out
+        errors, ``sample`` their radial and tangential parts (rms and maximum), m. ``robot`` has ``rows``,
+        ``universal`` and ``sample`` of the uncompensated robot.
     """
     sent = as_sent(rows, effects)
     held_out = test.take(chosen)
@@ -66,14 +66,14 @@ def placing(
 
 
 def _returned(rows: Rows) -> bool:
-    """Whether any target was measured twice at one pose."""
+    """Whether any target was measured more than once at one pose."""
     used = rows.used[:, 0]
     keys = np.c_[rows.session, rows.fold, rows.signals["target_is"]][used]
     return len(keys) > len(np.unique(keys, axis=0))
 
 
 def _errors(rows: Rows, residual: Array, chosen: Integers, sample: Sequence[float] | None) -> dict[str, Any]:
-    """The universal model's figures of chosen rows' errors and, about a sample, their two parts."""
+    """Metrics of the universal model of the errors of rows ``chosen``, and their two parts about a sample."""
     out: dict[str, Any] = {"rows": len(chosen)}
     out["universal"] = norm_metrics(np.linalg.norm(residual[chosen, :3], axis=1))
     if sample is None:

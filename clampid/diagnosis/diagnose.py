@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from clampid.comparison.compensation import Compensation, compensation_of, put_right, sent_elsewhere
+from clampid.comparison.compensation import Compensation, compensation_of, summary_prefix, with_actual_joint_values
 from clampid.diagnosis.candidate_scores import refuse_few_flips
 from clampid.diagnosis.few_rows import refuse_unjudged
 from clampid.diagnosis.headline import headline, notes
@@ -121,7 +121,7 @@ def diagnose(
     alone = [on_campaign(model, c, user_effects) for c in opened.campaigns] if several else [opened]
     compensation = next((c for c in map(compensation_of, alone) if c is not None), None)
     posed = any(kind_of(s).points and (stages is None or s in stages) for s in opened.stages)
-    right = None if several or compensation is None or not posed else put_right(opened, compensation)
+    right = None if several or compensation is None or not posed else with_actual_joint_values(opened, compensation)
     found: dict[Stage, StageDiagnosis] = {}
     for stage in in_parts(opened.stages, str, lambda stage: 3.0 if kind_of(stage).points else 1.0):
         wanted = stages is None or stage in stages
@@ -135,7 +135,7 @@ def diagnose(
     mended = {stage: part.fitted.estimate for stage, part in found.items() if part.fitted is not None}
     of_points = known_of(found, "points")
     if compensation is not None and of_points is not None:
-        rest = "" if right is None else sent_elsewhere(compensation)
+        rest = "" if right is None else summary_prefix(compensation)
         of_points.summary = " ".join(filter(None, (compensation.said, rest, of_points.summary)))
     return Diagnosis(found, compensation, {stage: simpler(estimate) for stage, estimate in mended.items()})
 

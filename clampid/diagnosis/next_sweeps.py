@@ -13,7 +13,7 @@ from clampid.diagnosis.next_measurement import TEMPERATURES
 from clampid.diagnosis.pools import Pool, cell_of, columns_seen_by, joined
 from clampid.evidence.candidates import Candidate
 from clampid.fitting.solve import Estimate
-from clampid.planning.clamping import careful_limits, in_order, planned_sweep, postures_for
+from clampid.planning.clamping import careful_limits, clamping_order, planned_sweep, postures_for
 from clampid.planning.clamping_bench import PAUSE_S
 from clampid.planning.press import Press, press_limits, stiffness_of
 from clampid.planning.scene import Scene
@@ -67,7 +67,7 @@ def sweeps_to_choose(
     nuisance, columns = joined(information, candidates, len(estimate.slots))
 
     def plan(chosen: Sequence[int], wished: dict[str, float | int | str]) -> Plan:
-        mine = in_order([sweeps[k] for k in chosen])
+        mine = clamping_order([sweeps[k] for k in chosen])
         made = replace(
             blank,
             duration=mine[-1].clamping * CLAMPING + sum(len(s.offset) * s.dwell + PAUSE_S for s in mine),

@@ -31,7 +31,7 @@ from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns, channel_starts
 from clampid.evidence.score import WEAK_BELOW, Scored, score
 from clampid.evidence.space import Space, space_of
-from clampid.fitting.noise import NORMAL, Whitened
+from clampid.fitting.noise import MAD_TO_STD, Whitened
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term
 from clampid.stages import poses
@@ -209,7 +209,7 @@ def _by_visit(space: Space, visit: Integers, lever: Array, D: sparse.csc_matrix)
     able = sees > 1e-9 * sees.max(initial=0.0)
     visit_error = np.bincount(visit, lever * space.residual[: space.rows], minlength=count)[able] / sees[able]
     visit_error = np.clip(
-        visit_error / max(NORMAL * float(np.median(np.abs(visit_error))), 1e-300),
+        visit_error / max(MAD_TO_STD * float(np.median(np.abs(visit_error))), 1e-300),
         -LARGEST_RESIDUAL_IN_NULL,
         LARGEST_RESIDUAL_IN_NULL,
     )

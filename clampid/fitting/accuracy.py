@@ -11,7 +11,8 @@ import numpy as np
 from clampid.fitting.descent import newton_step
 from clampid.fitting.fit import without_outlying
 from clampid.fitting.noise import Noise
-from clampid.fitting.solve import Estimate, clamping_offsets, limits_of, solve
+from clampid.fitting.prior_and_start import clamping_offsets
+from clampid.fitting.solve import Estimate, limits_of, solve
 from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array, Bools, Integers, Rows, lengths
 from experiments.measures.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
@@ -157,8 +158,18 @@ def _returns(rows: Rows, mine: Bools, channels: Sequence[int]) -> tuple[Array, i
 def size_of(rows: Rows, residual: Array, floor: Floor) -> tuple[Array, Bools]:
     """Sizes of the errors, and which of them count.
 
-    Poses: ``(N,)``, m; the norm of a point's error, or the error of a distance. Torques: ``(N, n)``, in units of each
-    motor's noise.
+    Parameters
+    ----------
+    rows, residual
+        The rows and their residual ``(N, m)``, SI.
+    floor
+        The noise in whose units errors of torques are given.
+
+    Returns
+    -------
+    size, counts
+        Poses: ``(N,)``, m, the norm of a point's error, or the error of a distance. Torques: ``(N, n)``, in units of
+        each motor's noise. ``counts`` has the same shape.
     """
     if rows.kind.points:
         return lengths(residual), np.asarray(rows.used.any(axis=1))
@@ -172,9 +183,18 @@ def rms_of(rows: Rows, residual: Array, floor: Floor) -> float:
 
 
 def predicted(problem: FitProblem, theta: Array, noise: Noise | None = None) -> Array:
-    """Residuals ``(N, m)`` of rows that were not fitted, at given slot values ``(P,)``, SI.
+    """Residuals ``(N, m)``, SI, of rows that were not fitted.
 
-    Constants of a single run or sweep are fitted to its rows, with all else fixed.
+    Unknown constants of a single run or sweep are fitted to its rows, with all other parameters fixed.
+
+    Parameters
+    ----------
+    problem
+        The rows with the model's slots.
+    theta
+        Values of the slots ``(P,)``, SI.
+    noise
+        Weights for the constants; by default the rows' own standard deviations.
     """
     if not problem.offsets:
         return problem.error(theta)
@@ -243,6 +263,7 @@ def parts_of_rows(rows: Rows, seed: int) -> Integers:
 
 
 def _normal(J: Array, r: Array) -> tuple[Array, Array]:
+    """Normal matrix and downhill gradient of a whitened Jacobian ``(M, P)`` and residual ``(M,)``."""
     return J.T @ J, J.T @ r
 
 
@@ -257,9 +278,22 @@ def counted(estimate: Estimate, verification: Rows | None) -> tuple[Rows, Array]
 def unseen(
     estimate: Estimate, rows: Rows, held_out: Sequence[Sequence[int]], verification: Rows | None, seed: int
 ) -> tuple[Rows, Array]:
-    """Held-out rows with their residuals.
+    """Held-out rows with their residuals ``(N, m)``, SI.
 
-    Those of a verification table; else the rows that were held out; else all rows, by cross-validation.
+    They are the rows of a verification table; else the rows that were held out; else all rows, by cross-validation.
+
+    Parameters
+    ----------
+    estimate
+        The fit.
+    rows
+        All rows of the stage.
+    held_out
+        Numbers of the folds that were not fitted, for each session.
+    verification
+        Rows of a verification table; None if there is none.
+    seed
+        For the cross-validation.
     """
     fitted, left = counted(estimate, verification)
     count = len(estimate.slots)

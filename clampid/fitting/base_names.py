@@ -106,6 +106,7 @@ def base_name(terms: Sequence[tuple[Slot, float]], effects: Mapping[str, Effect]
 
 
 def _kind(term: tuple[Slot, float]) -> tuple[str, str, str, bool]:
+    """Key of the terms that are written together: effect, parameter, size and sign of the coefficient."""
     slot, coefficient = term
     exact = float(f"{abs(coefficient):.8g}")  # removes rounding errors, so that equal lengths get equal digits
     return slot.effect, slot.parameter, f"{exact:.{_DIGITS}g}", coefficient < 0

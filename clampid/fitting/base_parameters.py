@@ -260,4 +260,5 @@ def _kind(slot: Slot) -> int:
 
 
 def _number(slot: Slot) -> int:
+    """Number of a slot's place, such as 3 of ``joint3``."""
     return int(slot.place.lstrip("abcdefghijklmnopqrstuvwxyz"))

@@ -12,8 +12,9 @@ from clampid.fitting.agreeing import Agreement, agreement
 from clampid.fitting.anisotropy import relative_axes
 from clampid.fitting.leverage import root_of_inverse, share_left
 from clampid.fitting.motors_at_rest import other_crossings
-from clampid.fitting.noise import NORMAL, Noise, initial_noise, learn_noise
-from clampid.fitting.solve import Estimate, FitError, Shared, holding, prior_of, solve, start_of
+from clampid.fitting.noise import MAD_TO_STD, Noise, initial_noise, learn_noise
+from clampid.fitting.prior_and_start import precision_with_fixed, prior_of, start_of
+from clampid.fitting.solve import Estimate, FitError, Shared, solve
 from clampid.fitting.unknown_friction import at_no_friction, without_unknown_friction
 from clampid.fitting.visits import with_repeatability
 from clampid.slots import Prior, Slot
@@ -194,7 +195,7 @@ def _kept_first(problem: FitProblem, theta: Array, noise: Noise, precision: Arra
         return theta
     motors = problem.rows.series.offset_keys[:, 1] >= problem.rows.robot.n
     kept = len(problem.slots) + np.flatnonzero(motors)
-    tight = holding(problem, precision, kept, FIRST_FRICTION_STEP)
+    tight = precision_with_fixed(problem, precision, kept, FIRST_FRICTION_STEP)
     return solve(problem, theta, noise, tight, mean).theta if len(kept) else theta
 
 
@@ -269,7 +270,7 @@ def outlying(rows: Rows, residual: Array) -> Bools:
         white = rows.in_noise_axes(residual)[:, inside] / rows.sigma[:, inside]
         if rows.kind.points and inside == list(POSE_CHANNELS[0]):
             white = white / relative_axes(rows, residual)
-        scale = NORMAL * np.median(np.abs(white[used]))
+        scale = MAD_TO_STD * np.median(np.abs(white[used]))
         size = np.linalg.norm(white, axis=1) / max(scale, 1e-12)
         limit = np.sqrt(stats.chi2.isf(OUTLIER_RATE / used.sum(), len(inside)))
         out |= used & (size > max(limit, 4.0))

@@ -24,7 +24,7 @@ from clampid.fitting.descent import Limits, descend
 from clampid.fitting.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE
 from clampid.fitting.leverage import root_of_inverse, share_left
 from clampid.fitting.moments import LogPoint, Moments, minimise
-from clampid.fitting.noise import NORMAL
+from clampid.fitting.noise import MAD_TO_STD
 from clampid.fitting.solve import FitError
 from clampid.stages.log_design import Block, Channel, LogDesign
 from clampid.stages.prewhitening import ORDER, Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
@@ -368,7 +368,7 @@ def _outliers_and_noise(
             yield piece
         memory = memory or kept
 
-    scale = NORMAL * medians(sizes)
+    scale = MAD_TO_STD * medians(sizes)
     limit = np.maximum(np.sqrt(stats.chi2.isf(OUTLIER_RATE / np.maximum(count, 1), 1)), 4.0)
     limit = np.where(count >= LEAST_ROWS_OF_A_MOTOR, limit * np.fmax(scale, 1e-12), np.inf)
     bad = [np.zeros(0, dtype=np.int64)]

@@ -94,6 +94,7 @@ def mirrored(trial: FitProblem, theta: Array) -> Array | None:
 
 
 def _same(a: Frozen, b: Frozen) -> bool:
+    """Whether two sets of problems have the same flanks, and sag torques that differ by less than a tolerance."""
     return all(
         x is y or (_alike(x, y, "flank", 0.0) and _alike(x, y, "sag_torque", SAG_TOLERANCE))
         for x, y in zip(a, b, strict=True)
@@ -101,5 +102,6 @@ def _same(a: Frozen, b: Frozen) -> bool:
 
 
 def _alike(a: FitProblem, b: FitProblem, signal: str, share: float) -> bool:
+    """Whether a signal differs by at most a share of its largest value."""
     x, y = (np.asarray(trial.rows.signals.get(signal, np.zeros(1))) for trial in (a, b))
     return float(np.abs(x - y).max(initial=0.0)) <= share * float(np.abs(y).max(initial=0.0))

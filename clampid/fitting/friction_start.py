@@ -17,7 +17,8 @@ import numpy as np
 
 from clampid.fitting.descent import Limits, newton_step
 from clampid.fitting.noise import initial_noise
-from clampid.fitting.solve import Estimate, limits_of, prior_of, solve, stage_point, start_of
+from clampid.fitting.prior_and_start import prior_of, start_of
+from clampid.fitting.solve import Estimate, limits_of, solve, stage_point
 from clampid.slots import Prior, Slot
 from clampid.stages import poses
 from clampid.stages.fit_problem import FitProblem
@@ -94,6 +95,7 @@ def _past_flips(estimate: Estimate, friction: int) -> Estimate:
 
 
 def _flanks(problem: FitProblem, theta: Array) -> Array:
+    """The flanks at parameters ``theta``; empty if the model has no clearances that follow them."""
     found = poses.flanks(problem.rows, problem.chain, theta)
     return np.zeros(0) if found is None else found
 

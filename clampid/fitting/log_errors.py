@@ -28,13 +28,16 @@ class _Squares:
 
     @staticmethod
     def none(n: int) -> _Squares:
+        """Sums over no rows, for n motors."""
         return _Squares(np.zeros(n), np.zeros(n))
 
     def add(self, motor: int, values: Array) -> None:
+        """Add residuals ``(k,)``, Nm, of one motor."""
         self.squares[motor] += float(values @ values)
         self.count[motor] += len(values)
 
     def rms(self, floor: Array) -> float:
+        """Root mean square in units of the motors' noise ``floor`` ``(n,)``, Nm."""
         total = float(self.count.sum())
         return float(np.sqrt(np.sum(self.squares / floor**2) / total)) if total else float("nan")
 

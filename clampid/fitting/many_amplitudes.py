@@ -102,6 +102,7 @@ class AmplitudePoint:
 
     @cached_property
     def _residual(self) -> Array:
+        """Residual ``(N, m)``, whitened."""
         return self._whitened(self.residual)
 
     @cached_property
@@ -120,6 +121,7 @@ class AmplitudePoint:
 
     @cached_property
     def _normal(self) -> tuple[Array, Array]:
+        """Normal matrix ``(P, P)`` and downhill gradient ``(P,)``, computed by stations."""
         d, s = self.deviations, self._levers
         many = [
             (a, run) for a, run in self.problem.chain.runs if run.stop - run.start >= poses.PARAMETERS_OF_A_LARGE_CHAIN
@@ -163,6 +165,7 @@ class _Jacobian:
 
     @property
     def _point(self) -> AmplitudePoint:
+        """The point, computed again: keeping it would keep its arrays."""
         return AmplitudePoint.at(self.problem, self.noise, self.theta)
 
     def dense(self) -> Array:

@@ -1,7 +1,7 @@
-"""Noise: what the residual of a right model looks like, and how to make it white.
+"""The noise model of a stage: standard deviations and autocorrelations, and the whitening of residual and Jacobian.
 
-Poses: independent numbers of known relative size. Torques, whether of a log or of a sweep, follow each other closely
-and are correlated, so that residual and columns alike pass the filter of `clampid.stages.prewhitening`.
+Poses have independent noise of known relative size. Torques of logs and sweeps have correlated noise, so residual and
+Jacobian both pass the filter of `clampid.stages.prewhitening`.
 """
 
 from __future__ import annotations
@@ -30,30 +30,38 @@ from clampid.stages.rows import Array, Integers, Rows
 
 __all__ = ["Late", "Noise", "Whitened", "groups_of", "initial_noise", "learn_noise"]
 
-LONG_MEMORY = ORDER // 2 + 1  # lags from which on an autocorrelation is a level's
-NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
+LONG_MEMORY_LAG = ORDER // 2 + 1  # from this lag on, an autocorrelation is taken as that of a slow level
+MAD_TO_STD = 1.4826  # standard deviation over median absolute deviation, of a normal distribution
 
 
 class Late(Protocol):
-    """A whitened Jacobian that is made when it is asked for."""
+    """A whitened Jacobian that is computed when it is first used."""
 
     def __hash__(self) -> int:
-        """Each its own."""
+        """Hash by identity: the last dense Jacobians are cached."""
 
     def dense(self) -> Array:
         """J ``(M, P)``."""
 
     def normal(self) -> Array:
-        """J'J ``(P, P)``, for which J need not be made."""
+        """J'J ``(P, P)``, computed without J."""
 
 
 @dataclass(frozen=True)
 class Whitened:
-    """Whitened residual ``(M,)`` and Jacobian ``(M, P)``, one entry per used number, or per group of them.
+    """Whitened residual and Jacobian: one entry for each used number, or for each group of them.
 
-    ``entry`` ``(M,)`` is the row, of a group the middle one, ``channel`` ``(M,)`` the column of ``measured`` that each
-    entry came from. Of Jacobians that are made when they are asked for only the last few are kept: a diagnosis
-    remembers dozens of fits, and one of hundreds of amplitudes has 100 MB.
+    Attributes
+    ----------
+    residual
+        ``(M,)``, in units of the noise.
+    source
+        The Jacobian ``(M, P)``, or what computes it when it is first used. Of the latter only the last few are kept: a
+        diagnosis remembers dozens of fits, and a Jacobian of hundreds of amplitudes takes 100 MB.
+    entry
+        Row ``(M,)`` that each entry came from; the middle row of a group.
+    channel
+        Column ``(M,)`` of ``measured`` that each entry came from.
     """
 
     residual: Array
@@ -63,8 +71,8 @@ class Whitened:
 
     @property
     def jacobian(self) -> Array:
-        """``(M, P)``."""
-        return self.source if isinstance(self.source, np.ndarray) else _made(self.source)
+        """The whitened Jacobian ``(M, P)``."""
+        return self.source if isinstance(self.source, np.ndarray) else _dense(self.source)
 
     @cached_property
     def normal(self) -> Array:
@@ -73,18 +81,19 @@ class Whitened:
         return np.asarray(J.T @ J) if isinstance(J, np.ndarray) else J.normal()
 
     def moved(self, step: Array) -> Whitened:
-        """The same at parameters ``(P,)`` that are a step away, of a model that is linear in them."""
+        """The same after a ``step`` ``(P,)`` of the parameters, for a model that is linear in them."""
         there = Whitened(self.residual - self.jacobian @ step, self.source, self.entry, self.channel)
         there.__dict__["normal"] = self.normal
         return there
 
     def with_jacobian_of(self, other: Whitened) -> Whitened:
-        """The residual of this, and the Jacobian of another one of the same rows."""
+        """The residual of this, with the Jacobian of ``other``, which has the same rows."""
         return Whitened(self.residual, other.source, self.entry, self.channel)
 
 
-@lru_cache(maxsize=2)  # of the fit that is judged, and of the one that it is judged against
-def _made(late: Late) -> Array:
+@lru_cache(maxsize=2)  # the Jacobians of the fit under test and of the fit that it is compared with
+def _dense(late: Late) -> Array:
+    """The Jacobian ``(M, P)``; the last two are cached."""
     return late.dense()
 
 
@@ -95,16 +104,17 @@ class Noise:
     Attributes
     ----------
     sigma
-        ``(N, m)``: standard deviation of each number, all of its noise, SI; along the rows' axes of noise.
+        Standard deviation of the whole noise of each number ``(N, m)``, SI, along the rows' axes of noise.
     autocorrelations
-        Per channel that of its noise, lag 0 to 64; empty for white noise.
+        Autocorrelation of the noise of each channel, lag 0 to 64; empty for white noise.
     together
-        Rows of a log of which the mean is one number to the noise: standard deviation and autocorrelation are of these.
+        Number of consecutive rows of a log that are averaged; standard deviations and autocorrelations are those of
+        the averages.
     counts
-        Of how many numbers each channel's noise was learned.
+        Number of values from which the noise of each channel was estimated.
     wander
-        ``(m,)`` or empty: by how much each channel's level wanders, variance per step over that of a number
-        (:mod:`clampid.fitting.wander`). No fit learns it: what a model lacks may wander too.
+        ``(m,)``, or empty: variance per step of each channel's random-walk level, in units of the variance of a number
+        (:mod:`clampid.fitting.wander`). No fit estimates it: the residual of a missing effect may wander too.
     """
 
     sigma: Array
@@ -115,21 +125,21 @@ class Noise:
 
     @property
     def of_short_memory(self) -> Noise:
-        """A log's noise without the plateau of its autocorrelation: that is a level's, which is to be taken apart.
+        """A log's noise without the plateau of its autocorrelation, which a slow level causes.
 
-        An autoregression takes a level that wanders for noise that is forgotten at each stop of the motor, and counts
-        it as new in each move. What lags beyond :data:`LONG_MEMORY` have in common is the level's.
+        An autoregression treats a wandering level as noise that is independent after each stop of the motor. The level
+        is therefore modelled separately. Its share is the mean autocorrelation from :data:`LONG_MEMORY_LAG` on.
         """
         sigma, found = self.sigma.copy(), []
         for channel, before in enumerate(self.autocorrelations):
-            plateau = max(float(np.mean(before[LONG_MEMORY : ORDER + 1])), 0.0)
+            plateau = max(float(np.mean(before[LONG_MEMORY_LAG : ORDER + 1])), 0.0)
             rest = (before[: ORDER + 1] - plateau) / (1.0 - plateau)
             found.append(autocorrelation(rest, np.full(ORDER + 1, ENOUGH_PAIRS)))
             sigma[:, channel] *= np.sqrt(1.0 - plateau)
         return replace(self, sigma=sigma, autocorrelations=tuple(found))
 
     def settled(self, again: Noise) -> bool:
-        """Whether a log's noise learned ``again`` from a fit that was weighted by this one is still the same."""
+        """Whether the noise of a log has converged: ``again`` was learned from a fit that this noise weighted."""
         if not self.autocorrelations:
             return False
         ratios = np.median(again.sigma / self.sigma, axis=0)
@@ -137,16 +147,16 @@ class Noise:
         return all(settled(*channel) for channel in channels)
 
     def whiten(self, rows: Rows, residual: Array, jacobian: Array) -> Whitened:
-        """Whiten a residual ``(N, m)`` and a Jacobian ``(N, m, P)`` of these rows."""
+        """Whiten a residual ``(N, m)`` and a Jacobian ``(N, m, P)`` of these rows, both SI."""
         residual, jacobian = rows.in_noise_axes(residual), rows.in_noise_axes(jacobian)
         if not self.autocorrelations:
             channel, entry = np.nonzero(rows.used.T)
             sigma, columns = self.sigma[entry, channel], jacobian[entry, channel]
-            columns /= sigma[:, None]  # in place: a long table's Jacobian is its largest array
+            columns /= sigma[:, None]  # in place: the Jacobian of a long table is the largest array
             white = residual[entry, channel] / sigma
             for number in np.flatnonzero(self.wander).tolist():
                 own = channel == number
-                both = self._steady(rows, number, entry[own], np.c_[white[own], columns[own]])
+                both = self._without_wander(rows, number, entry[own], np.c_[white[own], columns[own]])
                 white[own], columns[own] = both[:, 0], both[:, 1:]
             return Whitened(white, columns, entry, channel)
         parts_r, parts_j, entries, channels = [], [], [], []
@@ -156,7 +166,7 @@ class Noise:
             if not len(index):
                 continue
             own = jacobian[:, c]
-            touched = np.any(own, axis=0)  # most columns of a log touch one motor only
+            touched = np.any(own, axis=0)  # most parameters of a log act on one motor only
             both = self.whiten_channel(rows, c, np.c_[residual[:, c], own[:, touched]])
             r, j = both[:, 0], np.zeros((len(both), jacobian.shape[2]))
             j[:, touched] = both[:, 1:]
@@ -171,7 +181,7 @@ class Noise:
         )
 
     def whiten_channel(self, rows: Rows, channel: int, columns: Array) -> Array:
-        """Whiten columns ``(N, k)`` of one channel: ``(used rows, k)``, or as many as there are groups of them."""
+        """Whiten columns ``(N, k)`` of one channel: ``(used rows, k)``, or ``(groups, k)`` if rows are averaged."""
         index = np.flatnonzero(rows.used[:, channel])
         out = columns[index] / self.sigma[index, channel][:, None]
         if not self.autocorrelations:
@@ -179,46 +189,50 @@ class Noise:
         groups = groups_of(rows, index, self.together)
         whitener = Whitener(groups.row, groups.stretch)
         white = whitener(groups.mean(out), Predictors(self.autocorrelations[channel]))
-        return self._steady(rows, channel, self._middle(rows, index), white)
+        return self._without_wander(rows, channel, self._middle(rows, index), white)
 
-    def _steady(self, rows: Rows, channel: int, entry: Integers, white: Array) -> Array:
-        """Whitened columns ``(k, c)`` of one channel without what its level wanders."""
+    def _without_wander(self, rows: Rows, channel: int, entry: Integers, white: Array) -> Array:
+        """Innovations of whitened columns ``(k, c)`` of one channel, given its random-walk level."""
         if not self.wander or self.wander[channel] == 0.0:
             return white
         return course_of(rows, entry).innovations(white, self.wander[channel])[0]
 
     def _middle(self, rows: Rows, index: Integers) -> Integers:
-        """The rows ``(g,)`` that stand for what is whitened of the used rows ``(k,)``."""
+        """The row of each whitened value ``(g,)``: the used row itself, or the middle row of a group."""
         if not self.autocorrelations or self.together == 1:
             return index
         return np.asarray(index[groups_of(rows, index, self.together).first + self.together // 2])
 
     def at(self, chosen: npt.NDArray[np.int64]) -> Noise:
-        """The noise of some of the rows."""
+        """The noise of the rows with numbers ``chosen``."""
         return Noise(self.sigma[chosen], self.autocorrelations, self.together, self.counts, self.wander)
 
 
 def initial_noise(rows: Rows) -> Noise:
-    """What is known before any fit: the rows' own standard deviations, white."""
+    """Noise before any fit: white, with the standard deviations that the rows state."""
     return Noise(rows.sigma)
 
 
 def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> Noise:
-    """Noise from a fit's residual ``(N, m)``: one scale per kind of channel, and for logs their autoregression.
+    """Noise estimated from the residual of a fit: one scale for each kind of channel, and autocorrelations of torques.
 
-    In poses positions share one scale, rotations another and distances a third; each motor has its own. The scale is
-    the rms of the used residuals, so that a fit is weighted by what its model leaves, whichever of instrument and model
-    that is. Along the axes of the instrument it differs where points of one visit say so
-    (:mod:`clampid.fitting.anisotropy`); their mean square stays.
+    In poses, positions share one scale, rotations another and distances a third. Each motor has its own. The scale is
+    the rms of the used residuals. A fit is thus weighted by the total error, of instrument and model together. The
+    axes of the instrument have different scales if the points of single visits show it
+    (:mod:`clampid.fitting.anisotropy`); their mean square does not change.
 
     Parameters
     ----------
+    rows
+        The fitted rows.
+    residual
+        ``(N, m)``, SI.
     absorbed
-        ``(N, m, P)``: a square root of the covariance of what the fit predicts, J L with L Lᵀ the covariance of its
-        parameters. A fit takes the slow part of the noise for its own, such as the mean over a sweep, so that the
-        residual's products fall short of the noise's by just that: E[e e' | r] = r r' + J C J'. Source: Dempster,
-        Laird, Rubin, Maximum likelihood from incomplete data via the EM algorithm, J. R. Stat. Soc. B 39, 1977, for
-        variance components; one step of it.
+        ``(N, m, P)``, SI: J L, a square root of the covariance of the fitted prediction, with L Lᵀ the covariance of
+        the parameters. A fit absorbs the slow part of the noise, such as its mean over a sweep. The products of the
+        residual are too small by this part: E[e e' | r] = r r' + J C J'. Source: one step of the EM algorithm for
+        variance components: Dempster, Laird, Rubin, Maximum likelihood from incomplete data via the EM algorithm,
+        J. R. Stat. Soc. B 39, 1977.
     """
     sigma = rows.sigma.copy()
     for inside in map(list, rows.kind.channels(residual.shape[1])):
@@ -236,13 +250,13 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
         taken = groups_of(rows, index, together)
         products, pairs = lag_products(taken.mean(x[index] / sigma[index, c, None]), taken.row, taken.stretch)
         if (absorbed is not None or together > 1) and pairs[0]:
-            sigma[:, c] *= max(np.sqrt(products[0] / pairs[0]), 1e-12)  # the residual alone, row by row, has scale 1
+            sigma[:, c] *= max(np.sqrt(products[0] / pairs[0]), 1e-12)  # without averaging and absorption this is 1
         autocorrelations.append(autocorrelation(products, pairs))
         counts.append(float(pairs[0]))
     return Noise(sigma, tuple(autocorrelations), together, tuple(counts))
 
 
 def groups_of(rows: Rows, index: Integers, together: int) -> Grouping:
-    """The groups of some rows ``(k,)``; of a log that is thinned, by their places in the whole of it."""
+    """Groups of ``together`` consecutive rows among ``index`` ``(k,)``; for a thinned log, by the rows of the whole."""
     place = index if together == 1 else rows.log.log_row[index]
     return Grouping.of(place, rows.stretch[index], together)

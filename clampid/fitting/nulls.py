@@ -1,4 +1,4 @@
-"""What these data cannot determine: directions in parameter space without information, named in physical words."""
+"""Unidentifiable combinations of parameters: null directions of the information, in sentences."""
 
 from __future__ import annotations
 
@@ -14,15 +14,22 @@ from clampid.stages.rows import Array, Bools
 
 __all__ = ["assumed_of", "named_directions", "null_directions"]
 
-LEAST_INFORMATION = 1.0  # a direction in which the data say less than a parameter's reasonable size already did
-SILENT = 1e-4  # of a single parameter: not known to within a hundred reasonable sizes, which none has
+LEAST_INFORMATION = 1.0  # per squared reasonable size: with less, the data do not narrow the plausible range
+NO_INFORMATION = 1e-4  # of a single parameter: a standard error above a hundred reasonable sizes
 
 
 def null_directions(estimate: Estimate, limit: int = 12) -> tuple[str, ...]:
-    """Sentences for the combinations of parameters that the data leave open, the most open first.
+    """Sentences for the combinations of parameters that the data do not identify, the least known first.
 
-    In units of reasonable sizes the information of the data has eigenvalues; one below 1 means that the combination is
-    not known to within such a size. Parameters with no information at all are named alone.
+    The information of the data is scaled by the reasonable sizes. An eigenvalue below 1 means that the standard error
+    of the combination exceeds such a size. Parameters without any information are named singly.
+
+    Parameters
+    ----------
+    estimate
+        The fit.
+    limit
+        The largest number of sentences.
     """
     size = estimate.problem.sizes()
     information = estimate.whitened.normal * np.outer(size, size)
@@ -32,7 +39,7 @@ def null_directions(estimate: Estimate, limit: int = 12) -> tuple[str, ...]:
 
 
 def assumed_of(problem: FitProblem) -> Bools:
-    """Which of a problem's slots ``(P,)`` a prior of their own keeps apart from each other."""
+    """Which of a problem's slots ``(P,)`` their own priors separate from each other: amplitudes with a narrow prior."""
     count = len(problem.slots)
     return np.asarray((problem.prior_std() <= problem.sizes())[:count] & ~problem.shapes()[:count])
 
@@ -51,29 +58,29 @@ def named_directions(
     slots
         The first P parameters.
     precision
-        The prior's ``(P + K, P + K)``, SI.
+        Precision of the prior ``(P + K, P + K)``, SI.
     assumed
-        ``(P,)``: slots that a prior of their own keeps apart.
+        ``(P,)``: slots that their own priors separate; see :func:`assumed_of`.
+    limit
+        The largest number of sentences.
     """
     count = len(slots)
     size = sizes[:count]
-    information = projected(information, count)  # what the offsets could take up is not information on the slots
+    information = projected(information, count)  # what the offsets can absorb is not information on the slots
     prior = precision[:count, :count] * np.outer(size, size)
     known = prior - np.diag(np.diag(prior))
     information = information + np.where(np.abs(known).sum(axis=1).max(initial=0.0) > 0, prior, 0.0)
-    silent = np.diag(information) < SILENT
-    # Parameters that only a prior separates are reported together, by their place, not one by one.
+    uninformed = np.diag(information) < NO_INFORMATION
+    # Parameters that only their priors separate are not reported one by one.
     information = information + np.diag(np.where(assumed, 2.0 * LEAST_INFORMATION, 0.0))
     out = []
     groups: dict[str, list[str]] = {}
-    for slot in (s for s, alone in zip(slots, silent, strict=True) if alone):
+    for slot in (s for s, alone in zip(slots, uninformed, strict=True) if alone):
         groups.setdefault(f"{slot.effect}.{slot.parameter}", []).append(slot.place)
     out += [f"{name} at {', '.join(places)}: these rows do not depend on it" for name, places in groups.items()]
-    values, vectors = np.linalg.eigh(information[np.ix_(~silent, ~silent)])
-    labels = [s.label for s, alone in zip(slots, silent, strict=True) if not alone]
-    open_together: dict[
-        frozenset[int], int
-    ] = {}  # which parameters share an open direction, and how many such there are
+    values, vectors = np.linalg.eigh(information[np.ix_(~uninformed, ~uninformed)])
+    labels = [s.label for s, alone in zip(slots, uninformed, strict=True) if not alone]
+    open_together: dict[frozenset[int], int] = {}  # parameters of a null direction -> number of such directions
     for value, vector in zip(values, vectors.T, strict=True):
         if value >= LEAST_INFORMATION or len(out) + len(open_together) >= limit:
             break

@@ -1,4 +1,4 @@
-"""Observability indices of measurements, planned or fitted: five ways to condense the scaled Jacobian.
+"""Observability indices of planned or fitted measurements: five scalar measures of the scaled Jacobian.
 
 With s_1 ≥ … ≥ s_L the singular values and m the number of measured values::
 
@@ -28,14 +28,15 @@ Array = npt.NDArray[np.float64]
 
 
 def observability(information: Array, rows: int) -> dict[str, float]:
-    """The five indices, and of how many ``parameters``.
+    """The five indices O1 to O5, and the number of ``parameters`` (directions) that they are of.
+
+    Directions with an eigenvalue below 1, whose standard error exceeds a reasonable size, are not counted: they are
+    reported as not identified, and would make every index zero.
 
     Parameters
     ----------
     information
-        ``(P, P)``, Jᵀ J of the whitened Jacobian in parameters scaled by their reasonable size, noise in units of its
-        standard deviation. Directions in which it says less than such a size (eigenvalue below 1) are not counted:
-        they are reported as not identified, and would make every index zero.
+        Jᵀ J ``(P, P)`` of the whitened Jacobian, with parameters in units of their reasonable sizes.
     rows
         Number of measured values, m.
     """
@@ -54,13 +55,13 @@ def observability(information: Array, rows: int) -> dict[str, float]:
 
 
 def projected(information: Array, count: int) -> Array:
-    """Information ``(count, count)`` on the first parameters, what the others could take up taken off (Schur)."""
+    """Information ``(count, count)`` on the first parameters with the others eliminated (Schur complement)."""
     A, B, C = information[:count, :count], information[:count, count:], information[count:, count:]
     return A - B @ np.linalg.pinv(C, rcond=1e-10) @ B.T if C.size else A
 
 
 def index_words(indices: Mapping[str, float]) -> str:
-    """The five indices, as `observability` gives them, in a line for people."""
+    """One line for people with the indices of :func:`observability`."""
     named = ", ".join(f"{name} {value:.3g}" for name, value in indices.items() if name != "parameters")
     return (
         f"observability of {indices['parameters']:.0f} combinations of parameters: {named} (larger is better; use "

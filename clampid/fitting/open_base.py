@@ -1,16 +1,16 @@
-"""Turns of the base that the measured points leave open, and what that leaves open of all other parameters.
+"""Rotations of the base that the measured points do not identify, and their share of all covariances.
 
-Points on a line are the same whichever way the robot is turned about it, points at one place whichever way at all. The
-points of a described robot are off by e (its geometry's reasonable sizes), so that points with the root mean square
-distance d from an axis determine the turn about it to e / d. If that is more than a small angle, a fit's standard
-errors hold only for the turn at which it started: after half a turn, an effect such as a clearance appears with the
-other sign. Information of the effects on the turn is not used: which effects there are is what the diagnosis decides,
-and an effect that the model lacks would select a wrong turn.
+Points on a line do not identify the rotation of the robot's base about this line. Points at one place identify no
+rotation. The points of a described robot have errors of about e, from the reasonable sizes of its geometry. Points
+with the root mean square distance d from an axis therefore determine the rotation about it to e / d. If that is more
+than a small angle, the standard errors of a fit hold only for the rotation at which it started: after half a turn, an
+effect such as a clearance appears with the opposite sign. The effects' own information on the rotation is not used. The
+diagnosis has yet to decide which effects act, and a missing effect would select a wrong rotation.
 
-So a fit starts at the turn of which the rows are likeliest, out of many about the open axes. Afterwards turns are drawn
-from what points and statements (:mod:`clampid.stages.statements`) say of them, with all other parameters as they fit
-best there, to first order, and the second moment of these about the estimate is added to its covariance: the law of
-total variance, with the turn as what is conditioned on.
+A fit therefore starts at the likeliest of many rotations about the open axes. Afterwards, rotations are drawn from the
+distribution that points and statements (:mod:`clampid.stages.statements`) give them. All other parameters are fitted
+to each of them to first order, and their second moment about the estimate is added to its covariance: the law of total
+variance, conditioned on the rotation.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from scipy import linalg
 
 from clampid.display import number
 from clampid.fitting.noise import Noise, initial_noise
-from clampid.fitting.solve import Estimate, prior_of, stage_point, start_of
+from clampid.fitting.prior_and_start import prior_of, start_of
+from clampid.fitting.solve import Estimate, stage_point
 from clampid.role_slots import slot_of
 from clampid.slots import Prior
 from clampid.stages.fit_problem import FitProblem
@@ -33,29 +34,29 @@ from kinematics.screws import exp_so3, inverse, log_se3
 
 __all__ = ["OpenTurn", "from_likeliest_turn", "open_turns", "with_open_base"]
 
-SMALL_TURN = 0.1  # rad: a turn that is off by less changes what an effect shows along its own direction by 0.5 %
-POINT_ERROR_M, POINT_ERROR_RAD = 1e-3, 2e-3  # what a link of a described robot is off by, as `geometry` has it
-TRIMMED = 0.05  # of the points, those farthest off: a wrong row must not make an area of a line
+SMALL_TURN = 0.1  # rad: a smaller error of the rotation changes the projection of an effect by 0.5 % (cosine)
+POINT_ERROR_M, POINT_ERROR_RAD = 1e-3, 2e-3  # errors of a described link, the reasonable sizes of its geometry
+TRIMMED = 0.05  # share of the points, the farthest, left out: one wrong row must not turn a line into an area
 BASE_DRAWS, SEED = 64, 0
-COARSE, FINE = 36, 11  # turns about one open axis that a fit tries, all round and between two of these
-SEVERAL = 300  # turns about several
+COARSE_TURNS, FINE_TURNS = 36, 11  # rotations tried about a single open axis: over its whole range, then about the best
+RANDOM_TURNS = 300  # rotations tried about several open axes
 
 
 @dataclass(frozen=True)
 class OpenTurn:
-    """How far a session's base may be turned.
+    """The rotations of one session's base that its points do not identify.
 
     Attributes
     ----------
     session
-        From 0.
+        Number of the session, from 0.
     centre
-        ``(3,)``, m, instrument frame: the middle of the points.
+        Median ``(3,)`` of the points, m, instrument frame.
     axes, std
-        ``(k, 3)``, unit vectors in the instrument frame, and ``(k,)``, rad: open axes, and to what the turn about each
-        is known.
+        Open axes ``(k, 3)``, unit vectors in the instrument frame, and the standard deviation of the rotation about
+        each ``(k,)``, rad.
     spread
-        m: root mean square distance of the points from the most open axis.
+        Root mean square distance of the points from the least known axis, m.
     """
 
     session: int
@@ -65,14 +66,14 @@ class OpenTurn:
     spread: float
 
     def by(self, turn: Array) -> Array:
-        """The motion ``(4, 4)`` in the instrument's frame by angles ``(k,)`` about the axes."""
+        """Rigid motion ``(4, 4)``, instrument frame: rotation by ``turn`` ``(k,)``, rad, about the axes at centre."""
         out = np.eye(4)
         out[:3, :3] = exp_so3(turn @ self.axes)
         out[:3, 3] = self.centre - out[:3, :3] @ self.centre
         return out
 
     def words(self, name: str) -> str:
-        """What is open, and what to state or measure to determine it."""
+        """A sentence for people: what is not identified, and what to state or measure. ``name``: of the session."""
         about = "the line on which the points lie" if len(self.axes) == 1 else "the place at which the points lie"
         return (
             f"turn of the base about {about} (session {name}; they are {number(1e3 * self.spread, 2)} mm off it): "
@@ -82,7 +83,7 @@ class OpenTurn:
 
 
 def open_turns(rows: Rows) -> tuple[OpenTurn, ...]:
-    """The turns that rows of poses leave open, session by session; none where orientations were measured."""
+    """The unidentified rotations of the base in each session; none if orientations were measured, or not of poses."""
     if not rows.kind.points:
         return ()
     found = []
@@ -98,6 +99,7 @@ def open_turns(rows: Rows) -> tuple[OpenTurn, ...]:
 
 
 def _open(rows: Rows, session: int, points: Array, error: float) -> OpenTurn | None:
+    """The unidentified rotation given ``points`` ``(N, 3)``, m, instrument frame, with errors of ``error``, m."""
     centre = np.median(points, axis=0)
     far = np.linalg.norm(points - centre, axis=1)
     off = points - centre
@@ -116,7 +118,7 @@ def _open(rows: Rows, session: int, points: Array, error: float) -> OpenTurn | N
 
 
 def _stated(rows: Rows, session: int, centre: Array) -> Array:
-    """What is stated of a turn about the points' centre ``(3, 3)``, 1/rad², instrument axes."""
+    """Precision ``(3, 3)``, 1/rad², that statements give to the rotation about ``centre``, instrument axes."""
     place = rows.layout.sessions[session]
     slots = [slot_of("base_frame", place, a) for a in ("rx", "ry", "rz", "x", "y", "z")]
     at, matrix, _ = stated_equations(rows.constants.stated, {slot: k for k, slot in enumerate(slots)})
@@ -125,16 +127,17 @@ def _stated(rows: Rows, session: int, centre: Array) -> Array:
     X = _reference(rows, session)
     lever = X[:3, 3] - centre
     cross = np.array([[0.0, -lever[2], lever[1]], [lever[2], 0.0, -lever[0]], [-lever[1], lever[0], 0.0]])
-    by_turn = np.vstack([X[:3, :3].T, -X[:3, :3].T @ cross])[at]  # what a turn does to (w, v)
+    by_turn = np.vstack([X[:3, :3].T, -X[:3, :3].T @ cross])[at]  # derivative of the base twist (w, v) by the rotation
     return np.asarray((matrix @ by_turn).T @ (matrix @ by_turn))
 
 
 def _reference(rows: Rows, session: int) -> Array:
+    """The reference pose ``(4, 4)`` of the base in a session, instrument frame."""
     return np.asarray(rows.pose.base_reference[np.flatnonzero(rows.session == session)[0]])
 
 
 def _turned(rows: Rows, turn: OpenTurn, angles: Array) -> Rows:
-    """The rows with the base of one session turned by angles ``(k,)``."""
+    """The rows with the base of one session rotated by ``angles`` ``(k,)``, rad, about its open axes."""
     reference = rows.pose.base_reference.copy()
     mine = rows.session == turn.session
     reference[mine] = turn.by(angles) @ reference[mine]
@@ -142,27 +145,29 @@ def _turned(rows: Rows, turn: OpenTurn, angles: Array) -> Rows:
 
 
 def from_likeliest_turn(problem: FitProblem, priors: Sequence[Prior]) -> Rows:
-    """The problem's rows with each open base turned to where they are likeliest, by one step of a fit at each turn.
+    """The problem's rows with each open base rotated to the likeliest of many rotations.
 
-    At the right turn one step is nearly the whole way: a described robot is nearly the robot. Elsewhere it leaves more.
+    The cost of a rotation is that after one Gauss-Newton step. At the right rotation one step nearly reaches the
+    minimum, since a described robot is nearly the real one. At a wrong rotation more of the residual is left.
     """
     rows = problem.rows
     for turn in open_turns(rows):
         if len(turn.axes) == 1:
             reach = min(np.pi, 3.0 * float(turn.std[0]))
-            step = 2.0 * reach / COARSE
-            coarse = np.linspace(-reach, reach, COARSE, endpoint=False)[:, None]
+            step = 2.0 * reach / COARSE_TURNS
+            coarse = np.linspace(-reach, reach, COARSE_TURNS, endpoint=False)[:, None]
             best = _likeliest(problem, rows, turn, np.vstack([np.zeros((1, 1)), coarse]), priors)
-            fine = best + np.linspace(-0.5, 0.5, FINE)[:, None] * step
+            fine = best + np.linspace(-0.5, 0.5, FINE_TURNS)[:, None] * step
             best = _likeliest(problem, rows, turn, fine, priors)
         else:
-            drawn = _draws(turn, np.random.default_rng(SEED), SEVERAL)
+            drawn = _draws(turn, np.random.default_rng(SEED), RANDOM_TURNS)
             best = _likeliest(problem, rows, turn, np.vstack([np.zeros((1, len(turn.axes))), drawn]), priors)
         rows = _turned(rows, turn, best)
     return rows
 
 
 def _likeliest(problem: FitProblem, rows: Rows, turn: OpenTurn, angles: Array, priors: Sequence[Prior]) -> Array:
+    """The one of the rotations ``angles`` ``(K, k)``, rad, with the lowest cost: ``(k,)``."""
     precision, mean = prior_of(problem, priors)
     theta, noise = start_of(problem, None, priors), initial_noise(rows)
     mean = np.where(problem.fixed(), theta, mean)
@@ -177,7 +182,7 @@ def _likeliest(problem: FitProblem, rows: Rows, turn: OpenTurn, angles: Array, p
 
 
 def _stepped(problem: FitProblem, noise: Noise, theta: Array, precision: Array, mean: Array) -> Array:
-    """Where one step of Gauss and Newton leads from ``theta`` ``(P,)``."""
+    """Parameters ``(P,)`` after one Gauss-Newton step from ``theta`` ``(P,)``, with the prior."""
     A, g = stage_point(problem, noise, theta).normal()
     size = 1.0 / np.sqrt(np.maximum(np.diag(A + precision), 1e-300))
     scaled = (A + precision) * np.outer(size, size)
@@ -186,13 +191,13 @@ def _stepped(problem: FitProblem, noise: Noise, theta: Array, precision: Array, 
 
 
 def _draws(turn: OpenTurn, rng: np.random.Generator, count: int) -> Array:
-    """Turns ``(count, k)``, rad, within half a revolution."""
+    """Random rotations ``(count, k)``, rad, wrapped to half a revolution either way."""
     free = turn.std * rng.standard_normal((count, len(turn.std)))
     return np.asarray((free + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def with_open_base(estimate: Estimate) -> Estimate:
-    """The same pose fit with what open turns of the base leave open of all parameters in its covariance."""
+    """The pose fit with the uncertainty from unidentified rotations of the base added to its covariance."""
     rows = estimate.problem.rows
     turns = open_turns(rows)
     if not turns:

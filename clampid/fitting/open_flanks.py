@@ -31,7 +31,7 @@ from clampid.stages.rows import Array, Bools, Integers
 
 __all__ = ["with_open_flanks"]
 
-LEAN = 5e-4  # rad: half a millimetre in a metre, of a spirit level and of axis 1 against the robot's foot
+TILT_STD = 5e-4  # rad: half a millimetre per metre, by a spirit level or between axis 1 and the robot's foot
 FLANK_DRAWS, SEED = 4000, 0
 
 
@@ -74,7 +74,7 @@ def _more_than_noise(estimate: Estimate) -> bool:
 
 
 def _unloaded(estimate: Estimate, pressing: Array) -> Mapping[int, int]:
-    """Joint -> slot of its clearance, of joints that stand in every pose on the flank that they came from."""
+    """Joint number -> number of its clearance, for joints that rest in every pose on the flank that they came from."""
     direction = estimate.problem.rows.signals["direction"]
     decided = ((pressing * direction > 0) | (direction == 0)).all(axis=0) & direction.any(axis=0)
     clearances = estimate.problem.numbers_of("clearance")
@@ -83,9 +83,23 @@ def _unloaded(estimate: Estimate, pressing: Array) -> Mapping[int, int]:
 
 
 def _turned(estimate: Estimate, joints: Sequence[int], pressing: Array, first: Integers) -> tuple[Array, Bools]:
-    """Leans ``(K, m, 3)``, rad, and which joints stand on the other flank with them ``(K, V, m)``, in each visit.
+    """Random tilts of m joints, and the flanks that they reverse.
 
-    Tilts are scaled so that they have the same effect beside the fitted friction plus that of any bearing.
+    Each tilt is drawn with a friction, and then scaled to the fitted friction: only their ratio selects flanks.
+
+    Parameters
+    ----------
+    joints
+        Numbers of the m unloaded joints, from 0.
+    pressing
+        Torque that presses on the flank of each joint ``(N, n)``, Nm.
+    first
+        One row of each of the V visits.
+
+    Returns
+    -------
+    lean, turned
+        Rotation vectors ``(K, m, 3)``, rad, and whether the joint rests on the other flank ``(K, V, m)``.
     """
     signals, rng = estimate.problem.rows.signals, np.random.default_rng(SEED)
     least = np.abs(signals["rest_direction"]).max(axis=0)[joints]
@@ -94,27 +108,28 @@ def _turned(estimate: Estimate, joints: Sequence[int], pressing: Array, first: I
     fitted = np.maximum(own, 0.0)
     by_lean, now = (v[first][:, joints] for v in (signals["lean_torque"], pressing))
     friction = fitted + least * rng.uniform(0.0, 2.0, (FLANK_DRAWS, 1))
-    lean = LEAN * rng.standard_normal((FLANK_DRAWS, 1, 3)) * ((fitted + least) / friction)[:, :, None]
+    lean = TILT_STD * rng.standard_normal((FLANK_DRAWS, 1, 3)) * ((fitted + least) / friction)[:, :, None]
     pressed = now + np.einsum("vmx,kmx->kvm", by_lean, lean)
     return lean, np.asarray(pressed * now < 0)
 
 
 def _fitted(estimate: Estimate, gaps: Integers, visit: Integers, side: Array, share: Array) -> tuple[Array, Array]:
-    """Parameters ``(K, P)`` that fit best with each pattern of flanks, and the pattern's weight ``(K,)``.
+    """Best parameters ``(K, P)`` for each pattern of flanks, SI, and its posterior weight ``(K,)``.
 
-    Clearances enter with the flanks, so that they are taken out of the residual and fitted anew, together with all
-    other parameters except frictions that the data do not determine. Only sums over visits are formed.
+    The columns of the clearances change sign with the flanks. So clearances are taken out of the residual and fitted
+    again, together with all other parameters except frictions that the data do not identify. Only sums over visits are
+    formed.
 
     Parameters
     ----------
     gaps
-        ``(m,)``: which parameters are the clearances.
+        Numbers of the clearances ``(m,)``.
     visit
-        ``(N,)``, of each row.
+        Visit of each row ``(N,)``.
     side
-        ``(K, V, m)``, -1 where a visit's flank is the other one.
+        ``(K, V, m)``: -1 if the joint rests on the other flank in a visit, else 1.
     share
-        ``(K,)``: of the patterns before any row was seen.
+        Prior probability of each pattern ``(K,)``.
     """
     white, theta, precision = estimate.whitened, estimate.theta, estimate.prior_precision
     rest = np.setdiff1d(np.arange(len(theta)), [*gaps, *unknown_frictions(estimate)])

@@ -1,13 +1,13 @@
-"""A torque log while parameters are searched of which most are linear: masses and frictions beside a few shapes.
+"""Faster fits of torque logs: the model is linear in most parameters, such as masses and frictions.
 
-By a linear parameter the derivative is the same at every point, and so are its whitened columns and their products:
-they are made once for several searches of the same rows, and whitened once a search. At a point only the others'
-columns are made and whitened. With C the linear parameters, V the others, and v the residual of these alone,
+The derivative by a linear parameter is the same at every point. Its columns are therefore computed once for several
+searches of the same rows, and whitened once in each search. At each point only the columns of the other parameters
+(shapes) are computed and whitened. With C the linear parameters, V the others, and v the residual of V alone,
 
     r(theta) = r(theta_0) + v(theta_V) - v(theta_0V) - J_C (theta_C - theta_0C)
 
 Source of the division: Golub & Pereyra, Separable nonlinear least squares: the variable projection method and its
-applications, Inverse Problems 19, 2003; nothing is eliminated here, so that priors stay as they are.
+applications, Inverse Problems 19, 2003. Unlike there, no parameter is eliminated, so priors apply unchanged.
 """
 
 from __future__ import annotations
@@ -27,16 +27,18 @@ __all__ = ["LinearPart", "PartedLog", "PartedPoint"]
 
 @dataclass(frozen=True, eq=False)
 class LinearPart:
-    """What the linear parameters C of a log do, which neither the other parameters nor weights change.
+    """The part of a log's model that is linear in the parameters C; it depends neither on V nor on weights.
 
     Attributes
     ----------
+    problem
+        The problem that it was computed for.
     linear, other
-        Which of the parameters ``(P + K,)`` are C and V.
+        Numbers of the parameters C and V, among all P + K.
     residual
-        ``(N, n)``, Nm, at C = 0, less that of V alone.
+        Residual at C = 0 less that of V alone ``(N, n)``, Nm.
     columns
-        ``(N, n, C)``, Nm: the prediction's derivative.
+        Derivative of the prediction by C ``(N, n, C)``, Nm per SI unit.
     """
 
     problem: FitProblem
@@ -47,50 +49,52 @@ class LinearPart:
 
     @staticmethod
     def of(problem: FitProblem, at: Array) -> LinearPart:
-        """The linear part of a problem of ``free_air``, found at any parameters ``(P + K,)``."""
+        """The linear part of a problem of the stage ``free_air``, computed at any parameters ``at`` ``(P + K,)``."""
         bends = np.r_[problem.chain.bends, np.zeros(problem.offsets, dtype=bool)]
         linear, other = np.flatnonzero(~bends), np.flatnonzero(bends)
         residual, jacobian = problem.residual(at)
         columns = jacobian if not len(other) else jacobian[:, :, linear]
         left = residual + columns @ at[linear]
         if len(other):
-            left -= _bent(problem).error(np.r_[at[other], np.zeros(problem.offsets)])
+            left -= _nonlinear(problem).error(np.r_[at[other], np.zeros(problem.offsets)])
         return LinearPart(problem, linear, other, left, columns)
 
     def serves(self, problem: FitProblem) -> bool:
-        """Whether another problem has the same effects and rows, of which others may be used."""
+        """Whether ``problem`` has the same effects and rows; which of the rows are used may differ."""
         mine, theirs = self.problem.rows, problem.rows
         same_rows = mine.signals is theirs.signals and mine.measured is theirs.measured
         return self.problem.chain is problem.chain and same_rows
 
     def left(self, theta: Array) -> Array:
-        """The residual ``(N, n)``, Nm, at parameters ``(P + K,)``, less that of V alone."""
+        """Residual ``(N, n)``, Nm, at parameters ``theta`` ``(P + K,)``, less that of V alone."""
         return np.asarray(self.residual - self.columns @ theta[self.linear])
 
 
-def _bent(problem: FitProblem) -> FitProblem:
-    """The problem with the parameters V alone."""
+def _nonlinear(problem: FitProblem) -> FitProblem:
+    """The problem with the parameters V only."""
     chain = problem.chain.bent
     return replace(problem, slots=chain.slots, chain=chain)
 
 
 @dataclass(frozen=True, eq=False)
 class PartedLog:
-    """A log about the start of a search.
+    """A log with the whitened columns of its linear parameters, for one search.
 
     Attributes
     ----------
-    bent
-        The problem with the parameters V alone.
+    nonlinear
+        The problem with the parameters V only.
+    noise
+        The noise that whitens the rows.
     part
-        What the others do.
+        The linear part of the model.
     start
-        ``(P + K,)``.
+        Initial parameters ``(P + K,)``, SI.
     white
-        The residual there less that of V alone ``(M,)``, and the columns of C ``(M, C)``, whitened.
+        At the initial parameters, whitened: the residual less that of V alone ``(M,)``, the columns of C ``(M, C)``.
     """
 
-    bent: FitProblem
+    nonlinear: FitProblem
     noise: Noise
     part: LinearPart
     start: Array
@@ -98,16 +102,16 @@ class PartedLog:
 
     @staticmethod
     def of(problem: FitProblem, noise: Noise, start: Array, part: LinearPart | None = None) -> PartedLog:
-        """The log of a problem of ``free_air`` that has linear parameters, of which the ``part`` may be known."""
+        """The log of a problem of the stage ``free_air`` with linear parameters; ``part`` is computed if not given."""
         part = part or LinearPart.of(problem, start)
         white = noise.whiten(problem.rows, part.left(start), part.columns)
-        return PartedLog(_bent(problem), noise, part, start, white)
+        return PartedLog(_nonlinear(problem), noise, part, start, white)
 
     def at(self, theta: Array) -> PartedPoint:
-        """The log at other parameters ``(P + K,)``."""
+        """The log at parameters ``theta`` ``(P + K,)``."""
         step = (theta - self.start)[self.part.linear]
-        own, derivative = self.bent.derivative(np.r_[theta[self.part.other], np.zeros(self.bent.offsets)], 0)
-        white = self.noise.whiten(self.bent.rows, own, derivative)
+        own, derivative = self.nonlinear.derivative(np.r_[theta[self.part.other], np.zeros(self.nonlinear.offsets)], 0)
+        white = self.noise.whiten(self.nonlinear.rows, own, derivative)
         left = self.white.residual - self.white.jacobian @ step + white.residual
         columns = _Columns(self, white.jacobian)
         there = Whitened(left, columns, self.white.entry, self.white.channel)
@@ -116,13 +120,16 @@ class PartedLog:
 
 @dataclass(frozen=True, eq=False)
 class _Columns:
-    """The whitened Jacobian of a point, ``own`` those of the parameters V: :class:`clampid.fitting.noise.Late`."""
+    """The whitened Jacobian of a point, computed when used; see :class:`clampid.fitting.noise.Late`.
+
+    ``own`` ``(M, V)``: whitened columns of the parameters V.
+    """
 
     log: PartedLog
     own: Array
 
     def dense(self) -> Array:
-        """J ``(M, P + K)``."""
+        """The whole Jacobian J ``(M, P + K)``."""
         out = np.empty((len(self.own), len(self.log.start)))
         out[:, self.log.part.linear], out[:, self.log.part.other] = self.log.white.jacobian, self.own
         return out
@@ -144,11 +151,13 @@ class PartedPoint:
     Attributes
     ----------
     theta
-        ``(P + K,)``.
+        Parameters ``(P + K,)``, SI.
     own
-        The residual of the parameters V alone ``(N, n)``, Nm.
+        Residual of the parameters V alone ``(N, n)``, Nm.
     white
-        The residual and its Jacobian, whitened.
+        Residual and Jacobian, whitened.
+    columns
+        The Jacobian's parts.
     """
 
     theta: Array
@@ -158,17 +167,17 @@ class PartedPoint:
 
     @cached_property
     def residual(self) -> Array:
-        """The residual ``(N, n)``, Nm: made where it is asked for, as it is at the end of a search alone."""
+        """Residual ``(N, n)``, Nm; computed when first used, which is only at the end of a search."""
         return np.asarray(self.columns.log.part.left(self.theta) + self.own)
 
     @property
     def cost(self) -> float:
-        """Sum of the whitened squares."""
+        """Sum of squares of the whitened residual."""
         return float(self.white.residual @ self.white.residual)
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of entries of the whitened residual."""
         return len(self.white.residual)
 
     def normal(self) -> tuple[Array, Array]:
@@ -179,5 +188,5 @@ class PartedPoint:
         return self.white.normal, gradient
 
     def covariance(self, precision: Array) -> Array:
-        """Covariance of a fit that has ended here, with a prior of ``precision`` ``(P + K, P + K)``."""
+        """Covariance ``(P + K, P + K)`` of a fit with its minimum here; ``precision`` is that of the prior."""
         return covariance_of(self.white.normal, precision, self.cost, self.count)

@@ -1,4 +1,4 @@
-"""What is known of masses before they are measured: the description's, to within the tolerance of such figures."""
+"""Priors of masses and centres of mass: the robot description's values, with the usual tolerance of such values."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from kinematics.masses import usual_covariance
 
 __all__ = ["description_priors"]
 
-MASS_SHARE = 0.10  # of the described mass: gravity of a described arm is off by 5-20 %
-MASS_FLOOR = 0.5  # kg: screws, cables and grease that no description lists
-CENTRE = 0.02  # m
-CENTRE_MASS = 2.0  # kg: how much of a neighbour's mass a link described without mass may have
+MASS_STD_SHARE = 0.10  # of the described mass: gravity computed from a description has errors of 5-20 %
+MASS_STD_FLOOR = 0.5  # kg: screws, cables and grease that no description lists
+CENTRE_STD = 0.02  # m: error of a described centre of mass
+LEAST_CENTRE_MASS = 2.0  # kg: a link described with no or little mass may have this much of its neighbour's mass
 
 
 def description_priors(rows: Rows) -> tuple[Prior, ...]:
-    """The prior of the links' gravity parameters.
+    """Priors of the links' masses and first moments, as deviations from the description, SI, base axes at zero pose.
 
-    If the description has no masses: no prior for torque logs, which determine the gravity parameters themselves; for
-    poses, which determine only the product of mass and compliance, the spread of the links of usual arms.
+    Mass and centre of mass have independent errors, m = M + dm and c = C + dc. To first order the first moment is then
+    m c = M C + dm C + M dc, which is correlated with m.
 
-    Mass and centre of mass are off independently, m = M + dm and c = C + dc, so that m c = M C + dm C + M dc is
-    correlated with m. Base axes at the zero pose, SI.
+    If the description has no masses, torque logs get no prior: they identify the gravity parameters themselves. Poses
+    identify only the product of mass and compliance, so they get the covariance of the links of usual arms.
     """
     robot = rows.robot
     if not robot.has_masses:
@@ -36,6 +36,8 @@ def description_priors(rows: Rows) -> tuple[Prior, ...]:
         slots = weight_slots(place)
         centre = np.asarray(link.com) if link.mass > 0 else np.asarray(robot.joints[i].point)
         J = np.vstack([np.r_[1.0, centre], np.c_[np.zeros(3), np.eye(3)]]).T  # (m, m c) by (dm, M dc)
-        spread = np.r_[MASS_SHARE * link.mass + MASS_FLOOR, np.full(3, CENTRE * max(link.mass, CENTRE_MASS))]
+        spread = np.r_[
+            MASS_STD_SHARE * link.mass + MASS_STD_FLOOR, np.full(3, CENTRE_STD * max(link.mass, LEAST_CENTRE_MASS))
+        ]
         priors.append(Prior(slots, np.zeros(4), J @ np.diag(spread**2) @ J.T))
     return tuple(priors)

@@ -1,9 +1,8 @@
-"""The uncertainty of an arm's masses is part of the errors of springs that its weight winds up.
+"""Standard errors that include unknown masses: they widen those of springs that the arm's weight winds up.
 
-Where neither the description nor a torque log says what the links weigh, loads are those of a usual arm, and how far
-they may be from it is uncertainty that no pose takes away: a spring twice as soft under half the weight is the same.
-Source: parameters that are considered but not estimated, as in Schmidt's filter (Schmidt, Advances in Control Systems
-3, 1966).
+If neither the description nor a torque log gives the masses of the links, loads are those of a usual arm. Poses do not
+reduce the uncertainty of these loads: a spring twice as soft under half the weight gives the same poses. Source:
+parameters that are considered but not estimated, as in Schmidt's filter (Schmidt, Advances in Control Systems 3, 1966).
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ __all__ = ["with_unknown_masses"]
 
 
 def with_unknown_masses(estimate: Estimate) -> Estimate:
-    """The same fit, with what the links may weigh in its covariance; unchanged where they are described or fitted."""
+    """The pose fit with the uncertainty of unknown masses in its covariance; unchanged if they are known or fitted."""
     rows = estimate.problem.rows
     if not rows.kind.points or rows.robot.has_masses or estimate.problem.numbers_of(*WEIGHTS, per="link"):
         return estimate
@@ -29,7 +28,7 @@ def with_unknown_masses(estimate: Estimate) -> Estimate:
     columns = whitened_columns(estimate, masses.slots, masses.mean).jacobian
     if not np.any(columns):
         return estimate
-    # How the fitted parameters follow the masses, kg and kg m.
+    # Derivative of the fitted parameters by masses and first moments, per kg and kg m.
     normal = estimate.point.matrix + estimate.prior_precision
     slope = inverse_of(normal) @ (estimate.whitened.jacobian.T @ columns)
     return replace(estimate, covariance=estimate.covariance + slope @ masses.covariance @ slope.T)

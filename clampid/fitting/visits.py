@@ -1,6 +1,6 @@
-"""What a pose fit's visits share: where the robot has stopped is the same for all numbers of one visit.
+"""Covariances of a pose fit with the robot's repeatability: all numbers of one visit share the robot's stopping error.
 
-The moments of such numbers are those of :mod:`clampid.fitting.repeatability`; here they are a fit's.
+The variance components are those of :mod:`clampid.fitting.repeatability`; here they are applied to an estimate.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["gradient_covariance", "variance_along", "with_repeatability"]
 
 
 def with_repeatability(estimate: Estimate) -> Estimate:
-    """The same fit, its covariance that of visits whose numbers share where the robot has stopped."""
+    """The pose fit with a covariance that includes the robot's repeatability; unchanged if too few visits show it."""
     white = estimate.whitened
     by_joint, visit = _by_joint(estimate, white, estimate.theta)
     inverse = inverse_of(white.normal + estimate.prior_precision)
@@ -34,24 +34,29 @@ def with_repeatability(estimate: Estimate) -> Estimate:
 
 
 def gradient_covariance(estimate: Estimate, point: StagePoint) -> Array:
-    """Covariance ``(P + K, P + K)`` of the gradient of a pose fit whose visits share where the robot has stopped.
+    """Covariance ``(P + K, P + K)`` of the cost's gradient, with the robot's repeatability.
 
     Parameters
     ----------
     estimate
         A pose fit with a ``scatter``.
     point
-        Where the gradient is taken, with the same rows and noise.
+        The point at which the gradient is taken, with the same rows and noise.
+
+    Raises
+    ------
+    ValueError
+        The fit has no ``scatter``.
     """
     if estimate.scatter is None:
-        raise ValueError("expected a fit of poses that separates measurement from repeatability, found none")
+        raise ValueError("expected a pose fit with its scatter of measurement and repeatability, found none")
     white = point.white
     by_joint, visit = _by_joint(estimate, white, point.theta)
     return shared_moments(white, by_joint, visit, estimate.scatter)
 
 
 def variance_along(estimate: Estimate, chosen: Integers) -> float:
-    """Variance of the whitened numbers of a pose fit along some parameters, what visits share included."""
+    """Variance of the whitened numbers along the columns of parameters ``chosen``, with the robot's repeatability."""
     white = estimate.whitened
     if estimate.scatter is None:
         return float(white.residual @ white.residual / max(len(white.residual) - white.jacobian.shape[1], 1))
@@ -61,7 +66,7 @@ def variance_along(estimate: Estimate, chosen: Integers) -> float:
 
 
 def _by_joint(estimate: Estimate, white: Whitened, theta: Array) -> tuple[Array, Integers]:
-    """What a joint's stop does to each whitened number ``(M, n)``, and the visit ``(M,)`` that each is of."""
+    """Derivative of each whitened number by the joints ``(M, n)``, 1/rad, and its visit ``(M,)``."""
     rows = estimate.problem.rows
     by_joint = rows.in_noise_axes(estimate.problem.by_joint(theta))[white.entry, white.channel]
     return by_joint / estimate.noise.sigma[white.entry, white.channel, None], rows.unit[white.entry]

@@ -1,14 +1,15 @@
-"""A reading that wanders: noise whose mean drifts away and does not come back, as of a sensor's zero or a tracker.
+"""Random-walk noise of a reading, such as the drift of a sensor's zero or of a tracker: the local level model.
 
-Beside its white noise a channel has a level that walks at random: y_i = l_i + e_i, l_i = l_{i-1} + w_i, with w of the
-variance q per step in units of e's. Its innovations are independent: what a number is off the level that those before
-it foretell, over the standard deviation of that. They are linear, so that residual and columns pass the same filter,
-and a column that only wanders along explains little. How large q is, is estimated by restricted likelihood, beside
-everything that may explain the residual.
+Besides white noise, a channel has a level that is a random walk: y_i = l_i + e_i, l_i = l_{i-1} + w_i, where w has the
+variance q per step in units of the variance of e. The innovations are independent: the difference of each number to its
+prediction from the numbers before it, over the standard deviation of this difference. They are linear in y, so residual
+and Jacobian pass the same filter. A column that changes as slowly as the level then explains little. The variance q is
+estimated by restricted likelihood, with everything that may explain the residual as regressors.
 
 Sources: Durbin & Koopman, Time Series Analysis by State Space Methods (2012), chapter 2 (local level model); Patterson
-& Thompson, Recovery of inter-block information when block sizes are unequal, Biometrika 58, 1971 (its likelihood);
-Self & Liang, J. Am. Stat. Assoc. 82, 1987 (its ratio where a variance may be zero: half a chi-square of 1).
+& Thompson, Recovery of inter-block information when block sizes are unequal, Biometrika 58, 1971 (restricted
+likelihood); Self & Liang, J. Am. Stat. Assoc. 82, 1987 (likelihood ratio for a variance that may be zero: half a
+chi-square with 1 degree of freedom).
 """
 
 from __future__ import annotations
@@ -25,30 +26,33 @@ from clampid.stages.rows import Array, Integers, Rows
 
 __all__ = ["WANDER_FALSE_ALARMS", "Course", "Wander", "course_of", "in_time", "wander_of"]
 
-WANDER_FALSE_ALARMS = 0.01  # chance that a reading that does not wander is said to
-UPPER_LIMIT_CHANCE = 0.05  # that a level wanders more than it is taken to; 9 % of logs of some hundred rows
-FINE_STEPS = 1000  # of the likelihood's curve
+WANDER_FALSE_ALARMS = 0.01  # probability that a random walk is found in a reading without one
+UPPER_LIMIT_CHANCE = 0.05  # probability that q exceeds its upper limit; 9 % in logs of some hundred rows
+FINE_STEPS = 1000  # points of the interpolated likelihood
 STEP_VARIANCES = (0.0, *(float(10.0**k) for k in np.arange(-7.0, 0.6, 0.5)))
-INDEPENDENT = 1e-8  # of a column's length, beyond the others
+INDEPENDENT = 1e-8  # of a column's length: with a smaller part outside the other columns it is linearly dependent
 
 
 @dataclass(frozen=True)
 class Course:
-    """The order in which a channel's numbers were measured, and how much its level may wander before each.
+    """The order in time of a channel's numbers, and the steps of the random walk between them.
 
     Attributes
     ----------
     order
-        ``(k,)``: places of the numbers in time.
+        Indices of the numbers in their order in time ``(k,)``.
     steps
-        ``(k,)``: steps since the one before; of the first, and after a new session, those of the whole course.
+        Steps since the number before ``(k,)``. The first number of a session has as many steps as the whole course.
     """
 
     order: Integers
     steps: Array
 
     def innovations(self, values: Array, wander: float) -> tuple[Array, Array]:
-        """Columns ``(k, c)`` less what those before them foretell, over its error; and logarithms of the errors²."""
+        """Innovations ``(k, c)`` of columns ``values`` ``(k, c)``, and logarithms of their variances ``(k,)``.
+
+        ``wander``: variance of the level per step, in units of the variance of a number.
+        """
         count, variance = len(self.order), 0.0
         gain, spread = np.zeros(count), np.zeros(count)
         for i, step in enumerate(self.steps):
@@ -64,9 +68,9 @@ class Course:
 
 
 def course_of(rows: Rows, entry: Integers) -> Course:
-    """The course of numbers of the rows ``entry`` ``(k,)`` of one channel.
+    """The course of one channel's numbers in the rows ``entry`` ``(k,)``.
 
-    Steps are visits of poses, between two of a session always one; of logs the usual time between two numbers.
+    In poses, a step is one visit. In logs, a step is the median time between two numbers.
     """
     time, count = rows.constants.time[entry], len(entry)
     if count == 0:
@@ -91,7 +95,7 @@ def course_of(rows: Rows, entry: Integers) -> Course:
 
 
 def in_time(rows: Rows, index: Integers) -> tuple[Integers, Integers]:
-    """Of each of some rows of a session ``(k,)`` its visit, and of each visit its number in the order of time."""
+    """Visit of each of the rows ``index`` ``(k,)`` of a session, and place in time of each visit ``(visits,)``."""
     _, visit = np.unique(rows.unit[index], return_inverse=True)
     count = np.bincount(visit)
     time = np.bincount(visit, rows.constants.time[index]) / count
@@ -99,10 +103,16 @@ def in_time(rows: Rows, index: Integers) -> tuple[Integers, Integers]:
 
 
 class Wander(NamedTuple):
-    """By how much a level wanders at most, variance per step over that of a number; twice the log likelihood it gains.
+    """The random walk of a level.
 
-    At most: the upper limit of a one-sided confidence interval. A log has few independent stretches of a slow level, so
-    that its likeliest variance may be much too small, and what is slow would then stand out of it by chance.
+    Attributes
+    ----------
+    variance
+        Upper limit of a one-sided confidence interval of the variance per step, in units of the variance of a number.
+        A log has few independent stretches of a slow level, so the likeliest variance may be much too small. Slow
+        changes would then look significant by chance.
+    gain
+        Twice the gain of the log likelihood over no random walk.
     """
 
     variance: float
@@ -110,19 +120,19 @@ class Wander(NamedTuple):
 
 
 def wander_of(courses: Sequence[Course], residuals: Sequence[Array], columns: Sequence[Array]) -> Wander:
-    """By how much the level of some channels wanders; nothing where none is seen to.
+    """The random walk that the levels of some channels share; zero if it is not significant.
 
     Parameters
     ----------
     courses
-        Of the channels, which share it.
+        Course of each channel.
     residuals, columns
-        Their whitened numbers ``(k,)``, and all that may explain them ``(k, p)``, the same columns in each channel.
+        For each channel the whitened numbers ``(k,)``, and the p regressors that may explain them ``(k, p)``.
 
     Returns
     -------
     Wander
-        The likeliest one, if the likelihood ratio against none is larger than chance gives once in a hundred times.
+        Not zero only if the likelihood ratio is significant at :data:`WANDER_FALSE_ALARMS`.
     """
     basis = _basis(np.vstack(columns))
     whole = np.c_[basis, np.concatenate(residuals)]
@@ -131,19 +141,19 @@ def wander_of(courses: Sequence[Course], residuals: Sequence[Array], columns: Se
         return Wander(0.0, 0.0)
     parts = np.split(whole, np.cumsum([len(r) for r in residuals])[:-1])
 
-    def unlikely(wander: float) -> float:
-        """-2 log of the restricted likelihood, but for a constant."""
+    def minus_two_log(wander: float) -> float:
+        """-2 log of the restricted likelihood, up to a constant."""
         moments, spread = np.zeros((whole.shape[1], whole.shape[1])), 0.0
         for course, part in zip(courses, parts, strict=True):
             found, logs = course.innovations(part, wander)
             moments += found.T @ found
             spread += float(logs.sum())
-        # Of [Q r] the factor's last diagonal entry is the length of what Q leaves of r, the others give det Q'Q.
+        # The factor is of [Q r]: its last diagonal entry is the length of r outside Q, the others give det Q'Q.
         length = np.maximum(np.abs(np.diag(_factor(moments))), 1e-150)
         determinant = 2.0 * float(np.sum(np.log(length[:-1])))
         return float(freedom * 2.0 * np.log(length[-1]) + spread + determinant)
 
-    values = [unlikely(wander) for wander in STEP_VARIANCES]
+    values = [minus_two_log(wander) for wander in STEP_VARIANCES]
     best = int(np.argmin(values))
     gain = values[0] - values[best]
     if not gain > stats.chi2.isf(2.0 * WANDER_FALSE_ALARMS, 1):
@@ -151,20 +161,20 @@ def wander_of(courses: Sequence[Course], residuals: Sequence[Array], columns: Se
     return Wander(_upper_limit(values[1:]), gain)
 
 
-def _upper_limit(unlikely: Sequence[float]) -> float:
-    """The largest variance that the likelihood ratio does not refuse at :data:`UPPER_LIMIT_CHANCE`, one-sided.
+def _upper_limit(minus_two_log: Sequence[float]) -> float:
+    """The largest variance that the likelihood ratio does not reject at :data:`UPPER_LIMIT_CHANCE`, one-sided.
 
-    ``unlikely``: -2 log of the likelihood at each of :data:`STEP_VARIANCES` but the first, between which it is smooth.
+    ``minus_two_log``: -2 log of the likelihood at each of :data:`STEP_VARIANCES` but the first; splines in between.
     """
     at = np.log10(STEP_VARIANCES[1:])
     fine = np.linspace(at[0], at[-1], FINE_STEPS)
-    value = interpolate.CubicSpline(at, unlikely)(fine)
+    value = interpolate.CubicSpline(at, minus_two_log)(fine)
     allowed = value <= value.min() + stats.chi2.isf(2.0 * UPPER_LIMIT_CHANCE, 1)
     return float(10.0 ** fine[allowed].max())
 
 
 def _basis(columns: Array) -> Array:
-    """An orthonormal basis ``(M, k)`` of the columns: of those that are the others' sum a likelihood counts none."""
+    """An orthonormal basis ``(M, k)`` of the columns ``(M, p)``; linearly dependent columns are left out."""
     size = np.linalg.norm(columns, axis=0)
     if not np.any(size > 0.0):
         return np.zeros((len(columns), 0))
@@ -173,9 +183,9 @@ def _basis(columns: Array) -> Array:
 
 
 def _factor(moments: Array) -> Array:
-    """The Cholesky factor, upper, of moments that are positive definite but for rounding."""
+    """Upper triangular factor R ``(p, p)``, RᵀR = ``moments``; these are positive definite up to rounding errors."""
     try:
         return np.asarray(linalg.cholesky(moments, check_finite=False))
-    except linalg.LinAlgError:  # a column that a wandering level follows all the way
+    except linalg.LinAlgError:  # a column that the random-walk level reproduces completely
         values, vectors = np.linalg.eigh(moments)
         return np.asarray(np.linalg.qr(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, mode="r"))

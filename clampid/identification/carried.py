@@ -1,14 +1,14 @@
 """Results of earlier stages as a Gaussian prior of a later stage: values with their covariance.
 
-The pose stage takes gravity and arm-side friction from the torque stage, springs and clearances from clamped sweeps.
-Both are fits of rows that the poses do not contain, so that product of prior and likelihood is the posterior of all of
-them together, exactly where the fits are linear. Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to
+The pose stage takes gravity and arm-side friction from the torque stage, and springs and clearances from clamped
+sweeps. These are fits of other rows than the poses. The product of prior and likelihood is therefore the posterior of
+all rows together, exactly if the fits are linear. Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to
 Tracking and Navigation, 2001, section 3.4 (recursive least squares).
 
-A covariance speaks of noise only. Where the clamp yielded, springs come out too soft by many of their standard errors,
-and as a prior they would spoil the poses. So springs are taken over only where the poses alone do not contradict them
-(`clampid.models.agreement`, 5 % over all joints): a contradiction at one joint says that the sweeps are not understood,
-and then nothing of them is taken over.
+A covariance accounts for noise only. If the clamp yielded, springs are too soft by many standard errors, and as a prior
+they would bias the pose fit. So springs are taken over only if the poses alone do not contradict them
+(`clampid.models.agreement`, 5 % over all joints). A contradiction at one joint means that the model of the sweeps is
+wrong; then nothing is taken over from them.
 """
 
 from __future__ import annotations
@@ -34,26 +34,29 @@ __all__ = ["Drives", "carried_drives", "carried_over", "is_load", "is_start", "p
 
 
 def is_load(slot: Slot, effects: Mapping[str, Effect] | None = None) -> bool:
-    """Whether the pose stage takes a slot over from the torque stage with its covariance: loads and flanks."""
+    """Whether the pose stage takes a slot over from the torque stage, with its covariance: it acts on joint torques.
+
+    ``effects``: name → effect; None: the catalogue.
+    """
     effect = (catalogue() if effects is None else effects).get(slot.effect)
     return effect is not None and "joint_torque" in effect.acts and acts_with(effect, "moving", "points")
 
 
 def is_start(slot: Slot, effects: Mapping[str, Effect] | None = None) -> bool:
-    """Whether a later stage begins with a slot's value."""
+    """Whether a later stage takes a slot's value as an initial value; ``effects`` as in :func:`is_load`."""
     return is_load(slot, effects) or has_role(slot, "compliance", "clearance", effects=effects)
 
 
 @dataclass(frozen=True)
 class Drives:
-    """What the pose stage makes of the clamped one.
+    """What the pose stage takes over from the clamped stage.
 
     Attributes
     ----------
     prior
-        Springs and clearances with their covariance; None where the poses contradict them.
+        Springs and clearances with their covariance; None if the poses contradict them or identify none of them.
     contradicted
-        Where they do.
+        The parameters that the poses contradict.
     """
 
     prior: Prior | None
@@ -63,10 +66,24 @@ class Drives:
 def carried_over(
     rows: Rows, stages: Mapping[Stage, StageModel], effects: Mapping[str, Effect] | None = None
 ) -> tuple[tuple[Prior, ...], dict[Slot, float]]:
-    """What a stage knows before it sees its rows: priors with covariance, and start values.
+    """Priors and initial values of a stage from the stages fitted before it.
 
-    Gravity has the description's tolerances; the pose stage takes what the torque stage found instead. Springs are a
-    start here; whether they are more, `carried_drives` says when the poses have been fitted once.
+    Masses have a prior from the description; the pose stage has one from the torque stage instead. Springs are only
+    initial values here. :func:`carried_drives` decides whether they become a prior, after a first fit of the poses.
+
+    Parameters
+    ----------
+    rows
+        The rows of the stage.
+    stages
+        The stages fitted before.
+    effects
+        Name → effect; None: the catalogue.
+
+    Returns
+    -------
+    priors, start
+        The priors, and slot → initial value, SI.
     """
     start: dict[Slot, float] = {}
     if not rows.kind.points:
@@ -85,12 +102,14 @@ def carried_over(
 
 
 def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:
-    """Springs and clearances of the clamped stage as a prior of the poses, unless these contradict them.
+    """Springs and clearances of the clamped stage as a prior of the poses, unless the poses contradict them.
 
     Parameters
     ----------
+    clamped
+        The clamped stage; None if there is none.
     poses
-        Fitted without anything from the clamped stage but start values.
+        A fit that has only initial values from the clamped stage.
     """
     if clamped is None or not shared_drives(clamped.slots, poses.slots, poses.problem.effects):
         return Drives(None, ())
@@ -107,7 +126,7 @@ def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:
     contradicted = tuple(a for a in found if a.verdict == "differs")
     if contradicted:
         return Drives(None, contradicted)
-    # What no pose determines stays out: a clearance that does not show would only stand, on a guessed flank, in
+    # Parameters that the poses do not identify are left out: such a clearance would only add a guessed flank to the
     # predictions.
     identified = tuple(
         s
@@ -118,6 +137,6 @@ def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:
 
 
 def prior_from(stage: StageModel, slots: tuple[Slot, ...]) -> Prior:
-    """Some slots of a stage with their covariance, all other parameters left free."""
+    """The marginal distribution of some slots of a stage, as a prior; ``slots`` are among those of the stage."""
     index = np.array([stage.slots.index(s) for s in slots], dtype=int)
     return Prior(slots, stage.theta[index], stage.covariance[np.ix_(index, index)])

@@ -1,4 +1,4 @@
-"""One stage fitted to its rows, with what it takes over from other stages."""
+"""The fit of one stage to its rows, with priors and initial values from other stages."""
 
 from __future__ import annotations
 
@@ -44,18 +44,24 @@ Cost = Literal["least-squares", "mean-norm"]
 
 @dataclass(frozen=True)
 class FittedStage:
-    """A stage's model with the estimate it came from.
+    """The model of a stage with the estimate that it came from.
 
     Attributes
     ----------
+    model
+        The stage's part of a model.
+    estimate
+        The fit.
+    base_reference
+        Session → reference pose of the base ``(4, 4)``, instrument frame; empty if the stage has no poses.
     rows
-        All rows, those held out too.
+        All rows, with those held out.
     contradicted
-        Springs and clearances of the clamped stage that the poses contradict, so that none were taken over.
+        Springs and clearances of the clamped stage that the poses contradict; none of its values were taken over then.
     universal
-        Of a fit by the mean norm: its P_mean, P_std and P_max beside those of least squares, m.
+        For a fit of the mean norm: P_mean, P_std and P_max, m, of this fit and of least squares.
     weights
-        How a log's weights were chosen, if they were.
+        How the weights of a log were chosen; None if they were not.
     """
 
     model: StageModel
@@ -68,21 +74,21 @@ class FittedStage:
 
     @property
     def anchors(self) -> Anchors:
-        """Where the anchors of distances stand before their fitted shifts."""
+        """Reference positions of the anchors of distances, to which fitted shifts are added."""
         return anchors_of(self.rows) if self.model.kind.points else {}
 
     @property
     def floor(self) -> Floor:
-        """What noise alone leaves of the fitted rows, as far as this fit knows it."""
+        """The noise floor of the fitted rows."""
         return noise_floor(self.estimate.problem.rows, self.estimate.residual)
 
     def errors(self, verification: Rows | None, seed: int, floor: Floor | None = None) -> StageErrors:
-        """Errors on fitted and held-out rows; torques in units of ``floor``, by default of this fit's own noise."""
+        """Errors on fitted and held-out rows; torques in units of ``floor``, by default of the noise of the fit."""
         return stage_errors(self.estimate, self.rows, self.model.held_out, verification, seed, floor)
 
     @property
     def evidence(self) -> dict[str, Any]:
-        """What the ledger keeps beside the errors."""
+        """Further results for the ledger, in addition to the errors."""
         found: dict[str, Any] = {}
         if self.contradicted:
             found["contradicted"] = [a.to_json() for a in self.contradicted]
@@ -93,9 +99,9 @@ class FittedStage:
         return found
 
     def with_best_weights(self, seed: int) -> FittedStage:
-        """A log with the weights that predict best (:mod:`clampid.fitting.equal_weights`); other stages as they are.
+        """A log fitted with the weights that predict best (:mod:`clampid.fitting.equal_weights`); other stages as is.
 
-        For the model that is kept. Diagnosis judges fits by their whitened residuals, and needs the others.
+        These weights are for the final model. Diagnosis tests whitened residuals and needs the noise model's weights.
         """
         if not self.model.kind.moving:
             return self
@@ -104,7 +110,7 @@ class FittedStage:
         return replace(self, model=model, estimate=estimate, weights=weights)
 
     def with_estimate(self, estimate: Estimate, carried_prior: Prior) -> FittedStage:
-        """The same stage at the solution of a joint fit; ``carried_prior``: what other stages say."""
+        """The stage at the solution of a joint fit; ``carried_prior``: information of the other stages."""
         estimate = with_open_base(with_kept_friction(estimate))
         model = _model_of(estimate, self.rows, self.model.terms, self.model.held_out, carried_prior)
         return replace(self, model=model, estimate=estimate)
@@ -120,22 +126,33 @@ def fit_stage(
     cost: Cost = "least-squares",
     last: Estimate | None = None,
 ) -> FittedStage:
-    """Fit one stage on all rows but those held out.
+    """Fit one stage to all rows but those held out.
 
     Parameters
     ----------
+    rows
+        All rows of the stage.
+    effects
+        Name → effect.
+    terms
+        The active effects, with their places.
     others
-        The stages already fitted, whose values this one takes over; or, where a joint fit knows, what all other rows
-        say.
+        The stages already fitted, from which this one takes priors and initial values; or, after a joint fit, the
+        information of all other rows as a prior.
+    start
+        Slot → initial value, SI.
+    held_out
+        Numbers of the folds that are not fitted, for each session.
     cost
-        ``mean-norm``, of ``poses`` only: see :mod:`clampid.fitting.mean_norm`.
+        ``mean-norm``, for poses only: see :mod:`clampid.fitting.mean_norm`.
     last
-        A fit of the same rows with other terms: how poses are weighted at first.
+        An earlier fit of the same rows with other terms. Its noise gives the first weights of poses; its slots tell
+        which clearances are new.
 
     Raises
     ------
     clampid.effect.EffectError
-        An effect needs something of these rows to begin with that they do not have.
+        An effect has no initial values in these rows.
     FitError
         The rows have no more numbers than the parameters that they determine.
     """
@@ -147,14 +164,15 @@ def fit_stage(
 
     weights = last.noise if last is not None and rows.kind.points else None
 
-    def begin(chosen: Sequence[Term], values: Mapping[Slot, float]) -> Estimate:
+    def fit_terms(chosen: Sequence[Term], values: Mapping[Slot, float]) -> Estimate:
+        """A fit of some terms, from which initial values of the others are found."""
         first = fit_problem(fitted_rows, effects, active_slots(rows, effects, chosen))
         if carried_prior is not None:
             return fit(first, (carried_prior,), values, weights=weights)
         priors, carried = carried_over(rows, before, effects)
         return fit(first, priors, {**carried, **values}, weights=weights)
 
-    terms, start = initial_values(terms, effects, rows.layout, start or {}, begin)
+    terms, start = initial_values(terms, effects, rows.layout, start or {}, fit_terms)
     trial = fit_problem(fitted_rows, effects, active_slots(rows, effects, terms))
     contradicted: tuple[Agreement, ...] = ()
     friction = RestFriction(start, None)
@@ -179,7 +197,7 @@ def fit_stage(
                 friction = with_rest_friction(trial, priors, estimate.values(), anew=True)
             estimate = fit(trial, (*priors, *friction.priors), friction.start, weights=weights)
     estimate = with_kept_friction(estimate)
-    if rows.kind.points and carried_prior is None:  # a joint fit has one value and error of what stages share
+    if rows.kind.points and carried_prior is None:  # in a joint fit, shared parameters have one value and covariance
         estimate = with_open_friction(with_open_flanks(estimate), friction.fixed)
         estimate = with_unknown_masses(estimate) if known_of(before, "moving") is None else estimate
     universal = None
@@ -197,13 +215,14 @@ def fit_stage(
 
 
 def active_slots(rows: Rows, effects: Mapping[str, Effect], terms: Sequence[Term]) -> tuple[Slot, ...]:
-    """The slots of some terms in these rows; of the geometry, only what the robot's gauge leaves independent."""
+    """The slots of some terms in these rows; of the geometry only its independent parameters."""
     geometry = independent_geometry(rows, effects) if any(_is_geometry(t, effects) for t in terms) else ()
     rest = slots_of_terms([t for t in terms if not _is_geometry(t, effects)], effects, rows.layout, rows.stage)
     return (*geometry, *rest)
 
 
 def _is_geometry(term: Term, effects: Mapping[str, Effect]) -> bool:
+    """Whether a term is the geometry of the links, whose parameters are not independent."""
     return "link_frame" in effects[term.effect].roles
 
 
@@ -214,6 +233,7 @@ def _model_of(
     held_out: Sequence[Sequence[int]],
     carried_prior: Prior | None,
 ) -> StageModel:
+    """The stage's part of a model, from an estimate."""
     count, fitted = len(estimate.slots), estimate.problem.rows
     bad = np.flatnonzero(estimate.outliers)
     turns, sessions = open_turns(fitted), rows.layout.sessions
@@ -238,7 +258,7 @@ def _model_of(
 
 
 def _refuse_no_freedom(estimate: Estimate) -> None:
-    """Refuse rows that the parameters can follow whatever was measured: what is left of them is no noise."""
+    """Raise :class:`FitError` if no degree of freedom is left: the residual then does not show the noise."""
     numbers, determined = freedom_of(estimate)
     if determined >= numbers:
         raise FitError(
@@ -249,12 +269,12 @@ def _refuse_no_freedom(estimate: Estimate) -> None:
 
 
 def freedom_of(estimate: Estimate) -> tuple[int, int]:
-    """How many numbers were measured, and how many parameters they determine."""
+    """Number of measured values, and number of parameters that they determine."""
     numbers = len(estimate.whitened.residual)
     return numbers, int(observability(_information(estimate), numbers)["parameters"])
 
 
 def _information(estimate: Estimate) -> Array:
-    """Information of the rows on the slots ``(P, P)``, in units of plausible sizes, without the prior."""
+    """Information of the rows on the slots ``(P, P)``, in units of reasonable sizes, without the prior."""
     size = estimate.problem.sizes()
     return projected(estimate.whitened.normal * np.outer(size, size), len(estimate.slots))

@@ -1,4 +1,4 @@
-"""Identification: from campaigns to a model, stage by stage: free air, clamped, poses."""
+"""Identification of a model from campaigns, stage by stage (free air, clamped, poses) or jointly."""
 
 from __future__ import annotations
 
@@ -42,20 +42,20 @@ __all__ = [
     "verification_rows",
 ]
 
-LEAST_MOVING_SHARE = 1.0 / 3.0  # of a log's rows in motion: of so many, standard errors are 1.7 times those of all
+LEAST_STEADY_SHARE = 1.0 / 3.0  # of a log's rows in motion: with this share, standard errors grow by a factor of 1.7
 
 
 def stages_of(campaigns: Sequence[Campaign]) -> tuple[Stage, ...]:
-    """The stages that the campaigns' tables feed, in order."""
+    """The stages that the campaigns have tables for, in the order of identification."""
     return tuple(s for s in STAGES if any(t in c.tables for c in campaigns for t in kind_of(s).tables))
 
 
 def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, ...]]:
-    """The standard set for the tables present.
+    """The standard set of effects for each stage that the campaigns have tables for.
 
-    Poses alone get geometry, the drives' springs, and backlash where approach directions were recorded. Logs of which
-    less than a third would count without it get the inertia of rotors and links. Everything else is for diagnosis to
-    find.
+    Poses alone get geometry, springs of the drives, and backlash if approach directions were recorded. Logs get the
+    inertia of rotors and links if less than a third of their rows in motion would count without it. All other effects
+    are left to diagnosis.
     """
     found = stages_of(campaigns)
     names = dict(STANDARD)
@@ -68,7 +68,7 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
         )
         names[kind.name] = (*POSES_ALONE, *(POSES_DIRECTED if directed else ()))
     for stage in found:
-        if kind_of(stage).moving and min(steady_share(log_parts([c])) for c in campaigns) < LEAST_MOVING_SHARE:
+        if kind_of(stage).moving and min(steady_share(log_parts([c])) for c in campaigns) < LEAST_STEADY_SHARE:
             names[stage] += DYNAMICS
     return {stage: tuple(Term(n) for n in names[stage]) for stage in found}
 
@@ -82,12 +82,28 @@ def stage_rows(
     active: Collection[Effect] = (),
     anchors: Anchors | None = None,
 ) -> Rows:
-    """The rows of a stage, or of its table ``verification``, that can be used with some active effects."""
+    """The rows of a stage.
+
+    Parameters
+    ----------
+    campaigns, layout
+        The campaigns, and their layout.
+    stage
+        The stage.
+    base
+        Session → reference pose of the base ``(4, 4)``, instrument frame; None: from the rows themselves.
+    table
+        Another table to read as rows of this stage, such as ``verification``.
+    active
+        Active effects, which decide which rows can be used.
+    anchors
+        Session → reference positions of the anchors of distances.
+    """
     return kind_of(stage).rows(campaigns, layout, Wanted(active, base, anchors, table))
 
 
 def effects_in(terms: Iterable[Term], effects: Mapping[str, Effect]) -> tuple[Effect, ...]:
-    """The effects of some terms, without those that are not known."""
+    """The effects of some terms; terms of unknown effects are left out."""
     return tuple(effects[name] for name in dict.fromkeys(t.effect for t in terms) if name in effects)
 
 
@@ -97,13 +113,20 @@ def resolve_terms(
     effects: Mapping[str, Effect],
     layout: Layout,
 ) -> dict[Stage, tuple[Term, ...]]:
-    """The terms of every stage from what the user asked for; stages not named keep their standard set.
+    """The terms of every stage, from the names that the user gave; other stages keep their standard set.
+
+    Parameters
+    ----------
+    wanted
+        Stage → names (``effect`` or ``effect@joint3``), or a list of names if there is a single stage, or None.
+    campaigns, effects, layout
+        The campaigns, the catalogue (name → effect), and the layout of the campaigns.
 
     Raises
     ------
     EffectError
-        An effect is unknown, cannot sit there or does not act in that stage; a list without a stage, where the
-        campaigns have tables of several.
+        An effect is unknown, does not exist at its place or does not act in its stage; a stage is unknown or has no
+        table; or a list without a stage is given although there are several stages.
     """
     terms = standard_effects(campaigns)
     if wanted is None:
@@ -132,7 +155,10 @@ def resolve_terms(
 
 
 def held_out_folds(rows: Rows, share: float, seed: int) -> tuple[tuple[int, ...], ...]:
-    """Whole poses, runs or sweeps to keep out of a fit: per session their fold numbers."""
+    """Numbers of the folds (whole poses, runs or sweeps) to hold out, for each session.
+
+    ``share``: of the folds of each session, 0 … 1; ``seed``: for the choice.
+    """
     if share <= 0:
         return ()
     out: list[tuple[int, ...]] = []
@@ -164,27 +190,34 @@ def identify(
 
     Parameters
     ----------
+    campaigns
+        The campaigns; several are sessions of one robot.
     effects
-        Stage → names of effects (``effect`` or ``effect@joint3``); a plain list if there is just one stage; None for
+        Stage → names of effects (``effect`` or ``effect@joint3``); a list of names if there is a single stage; None:
         the standard set.
     holdout
-        Share of whole poses, runs and sweeps that no fit sees.
+        Share of whole poses, runs and sweeps that are held out.
+    seed
+        For the choice of held-out rows, cross-validation and bootstrap.
+    joint
+        Whether all tables are fitted at once, with common values of shared parameters; otherwise stage by stage, with
+        results of earlier stages as priors.
+    user_effects
+        File or folder of the user's own effects.
     bootstrap
         Number of bootstrap draws of whole poses, for standard errors that do not assume normal noise; 0: none.
     cost
-        Of the stage ``poses``: ``least-squares``, or ``mean-norm``, the universal model's (`fitting.mean_norm`).
-    joint
-        Fit all tables at once, with the parameters that they share; else stage by stage, where a stage takes over what
-        those before it found.
+        Cost of the stage ``poses``: ``least-squares``, or ``mean-norm``, that of the universal model
+        (:mod:`clampid.fitting.mean_norm`).
 
     Raises
     ------
     CampaignError
-        The campaigns are of different robots or hold nothing to fit.
+        The campaigns are of different robots or have no table to fit.
     EffectError
-        An effect does not exist or does not act there.
+        An effect is unknown or does not act in its stage.
     FitError
-        The mean norm of a joint fit, with a bootstrap, or without a table of poses.
+        The rows do not allow the fit; or the mean norm is combined with a joint fit or a bootstrap, or without poses.
     """
     several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
     _same_robot(several)
@@ -240,7 +273,10 @@ def identify(
 def verification_rows(
     campaigns: Sequence[Campaign], layout: Layout, stage: Stage, base: Mapping[int, Array]
 ) -> Rows | None:
-    """The rows of the table that verifies a stage, which no fit reads; None where there is none."""
+    """The rows of the table that verifies a stage and is never fitted; None if there is none.
+
+    ``base``: session → reference pose of the base ``(4, 4)``, instrument frame.
+    """
     table = kind_of(stage).verification
     if not any(table in c.tables for c in campaigns):
         return None
@@ -248,6 +284,7 @@ def verification_rows(
 
 
 def _same_robot(campaigns: Sequence[Campaign]) -> None:
+    """Raise :class:`CampaignError` unless the campaigns are of one robot and have a table to fit."""
     if not campaigns:
         raise CampaignError("expected at least one campaign, found none")
     first = campaigns[0]
@@ -263,7 +300,17 @@ def _same_robot(campaigns: Sequence[Campaign]) -> None:
 
 
 def session_of(campaign: Campaign, reference: Array | None, anchors: Mapping[str, Array] | None = None) -> Session:
-    """What a model keeps of a campaign that it was fitted on."""
+    """The session of a model: what it keeps of a campaign that it was fitted on.
+
+    Parameters
+    ----------
+    campaign
+        The campaign.
+    reference
+        Reference pose of the base ``(4, 4)``, instrument frame; None without poses.
+    anchors
+        Name → reference position of an anchor ``(3,)``, m.
+    """
     temperature = None
     for table in ("poses", "distances", "free_air", "clamped"):
         if table in campaign.long and temperature is None:

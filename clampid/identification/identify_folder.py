@@ -1,4 +1,4 @@
-"""Identification of a robot's gravity and friction from logs in Parquet files, read window by window."""
+"""Identification of gravity and friction from logs in Parquet files that are read in windows."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from clampid.catalogue import with_user_effects
 from clampid.effect import EffectError
 from clampid.identification.identify import (
-    LEAST_MOVING_SHARE,
+    LEAST_STEADY_SHARE,
     effects_in,
     held_out_folds,
     session_of,
@@ -46,10 +46,9 @@ def identify_folder(
     seed: int = 0,
     user_effects: Path | None = None,
 ) -> Model:
-    """Fit the stage free air of a campaign folder whose logs are Parquet files, in memory that does not grow with them.
+    """Fit the stage free air of a campaign folder with logs in Parquet files; memory does not grow with their length.
 
-    The result is that of `clampid.identification.identify.identify` for these tables; other tables of the folder are
-    left alone.
+    The result is that of `clampid.identification.identify.identify` for these tables. Other tables are not read.
 
     Parameters
     ----------
@@ -58,18 +57,20 @@ def identify_folder(
     effects
         Names of effects (``effect`` or ``effect@joint3``); None for the standard set.
     holdout
-        Share of whole runs that the fit does not see, 0 to below 1.
+        Share of whole runs that are held out, 0 to below 1.
     seed
-        Draws the runs held out, and the parts of cross-validation.
+        For the choice of held-out runs and cross-validation.
     user_effects
-        A file or folder of effects of one's own.
+        File or folder of the user's own effects.
 
     Raises
     ------
     CampaignError
-        The folder deviates from the contract, has no log, or one that is not in a Parquet file.
+        The folder deviates from the contract, has no log, or a log is not a Parquet file.
     EffectError
-        An effect does not exist, does not act there, or is not linear in its parameters.
+        An effect is unknown, does not act in free air, or depends on a friction state over the whole run.
+    FitError
+        The rows do not allow the fit.
     """
     path = Path(folder)
     header = read_header(path)
@@ -101,7 +102,7 @@ def identify_folder(
             if not acts_with(catalogue[term.effect], "moving"):
                 acts = ", ".join(catalogue[term.effect].stages)
                 raise EffectError(f"effect {term.effect} does not act in free_air; it does in: {acts}")
-    elif steady_share(parts) < LEAST_MOVING_SHARE:
+    elif steady_share(parts) < LEAST_STEADY_SHARE:
         terms = (*terms, *map(Term, DYNAMICS))
     if explains_rest(effects_in(terms, catalogue)):
         raise EffectError(
@@ -121,6 +122,7 @@ def identify_folder(
 
 
 def _table(file: Path, name: str, n: int) -> LogTable:
+    """The table ``name`` of a robot with n joints; raises :class:`CampaignError` if it cannot be used."""
     if file.suffix != ".parquet":
         raise fault(file, expected="a table ending in .parquet, to be read in pieces", found=file.suffix or "no ending")
     table = LogTable.of(file)
@@ -133,7 +135,7 @@ def _table(file: Path, name: str, n: int) -> LogTable:
 
 
 def _temperatures(table: LogTable) -> tuple[float, float] | None:
-    """The lowest and highest temperature of a log, degC, or None where it has none."""
+    """The lowest and highest temperature of a log, degC; None if it has no temperatures."""
     names = [name for name in table.names if name.startswith("temp_")]
     if not names:
         return None

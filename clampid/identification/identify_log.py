@@ -1,4 +1,4 @@
-"""The stage free air from a log that is read window by window, and so may be longer than the machine's memory."""
+"""The fit of the stage free air to logs that are read in windows, and may be larger than the memory."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ from clampid.fitting.log_springs import log_by_springs
 from clampid.fitting.log_weights import best_weighted
 from clampid.fitting.nulls import assumed_of, named_directions
 from clampid.fitting.observability import observability, projected
+from clampid.fitting.prior_and_start import prior_of, start_of
 from clampid.fitting.priors import description_priors
-from clampid.fitting.solve import limits_of, prior_of, start_of
+from clampid.fitting.solve import limits_of
 from clampid.models.model import StageModel
 from clampid.roles import INERTIAL, INERTIAS
 from clampid.slots import Layout, Prior, Slot, Term, slots_of_terms
@@ -38,16 +39,22 @@ __all__ = ["FittedLog", "LogStage"]
 
 @dataclass(frozen=True)
 class FittedLog:
-    """A fitted stage.
+    """The fitted stage free air.
 
     Attributes
     ----------
+    stage
+        The rows and effects that were fitted.
+    model
+        The stage's part of a model.
+    fit, prior
+        The fit by sums over rows, and its prior.
     covariance
-        ``(P + K, P + K)``, SI.
+        Covariance ``(P + K, P + K)``, SI.
     kept
         Which folds were fitted ``(F,)``.
     weights
-        How the log's weights were chosen, if it has parts to choose by.
+        How the weights of the log were chosen; None if they are those of the noise model.
     """
 
     stage: LogStage
@@ -59,17 +66,25 @@ class FittedLog:
     weights: Weights | None = None
 
     def errors(self, verification: Rows | None, seed: int) -> StageErrors:
-        """Errors on fitted and held-out rows; no log has a table of its own to be verified by."""
+        """Errors on fitted and held-out rows; ``verification`` is not used, since logs have no such table."""
         some_held_out = any(self.model.held_out)
         return log_errors(self.stage.design, self.fit, self.prior, self.stage.folds, self.kept, some_held_out, seed)
 
     @property
     def evidence(self) -> dict[str, Any]:
-        """What the ledger keeps beside the errors."""
+        """Further results for the ledger, in addition to the errors."""
         return {} if self.weights is None else {"weights": self.weights.to_json()}
 
     def with_solution(self, theta: Array, covariance: Array, carried_prior: Prior) -> FittedLog:
-        """The same stage at the solution ``(P + K,)`` of a joint fit; ``carried_prior``: what other stages say."""
+        """The stage at the solution of a joint fit.
+
+        Parameters
+        ----------
+        theta, covariance
+            Solution ``(P + K,)`` and covariance ``(P + K, P + K)``, SI.
+        carried_prior
+            Information of the other stages.
+        """
         fit = replace(self.fit, moments=self.fit.moments.moved(theta))
         prior = LogPrior(*prior_of(self.stage.problem, (carried_prior,)), self.prior.limits)
         model = self.stage.model_of(fit, prior, covariance, self.kept, self.model.held_out, carried_prior)
@@ -77,14 +92,22 @@ class FittedLog:
 
 
 class LogStage:
-    """The stage free air of some tables with some effects.
+    """The stage free air of some tables, with some active effects.
 
     Parameters
     ----------
     parts
         The tables.
+    layout
+        Layout of the campaigns.
+    effects
+        The catalogue: name → effect.
+    terms
+        The active effects, with their places.
     window, kept_bytes
-        Rows read at once, and how much may be kept between passes; they change nothing but time and memory.
+        Number of rows read at once, and number of bytes kept between passes; they affect only time and memory.
+    facts
+        Facts of the tables, if they are known.
     """
 
     def __init__(
@@ -118,7 +141,7 @@ class LogStage:
 
     @property
     def linear(self) -> bool:
-        """Whether the effects are linear in their parameters; then a fit takes fewer passes."""
+        """Whether all effects are linear in their parameters; a fit then takes fewer passes over the log."""
         return self.design.linear
 
     def fit(
@@ -129,16 +152,18 @@ class LogStage:
         *,
         correlated: bool = False,
     ) -> FittedLog:
-        """Fit all folds but those held out (per session their local numbers): what `identify` does with rows.
+        """Fit all folds but those held out.
 
         Parameters
         ----------
+        held_out
+            Numbers of the folds that are not fitted, for each session.
         start
-            Where the search of shapes begins.
+            Slot → initial value, SI.
         seed
-            Of the cross-validation, by which weights are chosen (:mod:`clampid.fitting.equal_weights`).
+            For the cross-validation that chooses the weights (:mod:`clampid.fitting.equal_weights`).
         correlated
-            Weights are those by the correlation of the noise, whatever they predict.
+            Whether the weights of the correlated noise model are kept, without that choice.
 
         Raises
         ------
@@ -168,7 +193,21 @@ class LogStage:
         held_out: tuple[tuple[int, ...], ...],
         carried_prior: Prior | None = None,
     ) -> StageModel:
-        """The stage's model of a fit with ``covariance`` ``(P + K, P + K)`` of the folds ``kept`` ``(F,)``."""
+        """The stage's part of a model.
+
+        Parameters
+        ----------
+        fit, prior
+            The fit and its prior.
+        covariance
+            Covariance ``(P + K, P + K)``, SI.
+        kept
+            Which folds were fitted ``(F,)``.
+        held_out
+            Numbers of the folds that were not, for each session.
+        carried_prior
+            Information of other stages; None for a fit of this stage alone.
+        """
         slots, count = self.problem.slots, len(self.problem.slots)
         here = np.flatnonzero(np.r_[np.ones(count, dtype=bool), kept[self.design.offset_keys[:, 0]]])
         inside = np.ix_(here, here)
@@ -193,7 +232,7 @@ class LogStage:
         )
 
     def _base(self, fit: LogFit, covariance: Array, precision: Array) -> tuple[BaseParameter, ...]:
-        """The base parameters of gravity and inertia."""
+        """The base parameters of gravity and inertia, with their covariance; none without such effects."""
         slots = self.problem.slots
         if not self.problem.numbers_of(*INERTIAL):
             return ()
@@ -202,7 +241,7 @@ class LogStage:
         return grouped(self.problem, fit.moments.at[: len(slots)], covariance, precision, *columns)
 
     def _place(self, row: int) -> tuple[int, str, int]:
-        """Session, table and row from 1 of a row of the log from 0."""
+        """Session, table, and number in it from 1, of a row of the whole log, from 0."""
         for part in self.parts:
             if row < part.table.rows:
                 return part.session, part.name, row + 1
@@ -210,7 +249,7 @@ class LogStage:
         raise IndexError(row)
 
     def _bare(self, layout: Layout, offset_keys: Integers) -> Rows:
-        """One row per fold, without signals."""
+        """Rows without signals, one for each fold; ``offset_keys`` ``(K, 2)``: unknown constants of single runs."""
         folds = fold_table(self.parts, self.facts)
         count, robot = len(folds["run"]), self.parts[0].campaign.robot
         empty = np.zeros((count, robot.n))

@@ -1,7 +1,8 @@
-"""Initial values of effects whose parameters have no gradient at zero.
+"""Initial values of effects whose shape parameters have no gradient at zero amplitude.
 
-Of one that aligns another's curves, that other is fitted in its place, and its curves are aligned; of one that happens
-once, the fit without it says when; of one with amplitudes of unknown size, a first fit says which size.
+An effect that aligns the curves of another gets its initial values from a fit of the other. The time of an event, and
+the position of an effect along a joint's angle, come from a fit without the effect. The size of amplitudes comes from a
+first fit with them.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from clampid.slots import Layout, Slot, Term
 __all__ = ["initial_values"]
 
 FitTerms = Callable[[Sequence[Term], Mapping[Slot, float]], Estimate]
+"""A fit of some terms from some initial values, SI."""
 
 
 def initial_values(
@@ -28,28 +30,36 @@ def initial_values(
     start: Mapping[Slot, float],
     fit_terms: FitTerms,
 ) -> tuple[tuple[Term, ...], dict[Slot, float]]:
-    """Terms and start values with which a fit can begin.
+    """Terms and initial values with which a fit can start.
 
-    An effect that sits somewhere along a joint's angle gets its likeliest place there.
-
-    An event whose amplitudes have no start value yet gets the time at which it is likeliest, whatever time is given.
-
-    An effect that aligns another's curves and has no start value yet gets its joints, and takes the other's place
-    there; joints that were not named and do not share the curve have, or keep, one of their own.
-
-    An effect with amplitudes of a size that has no value yet gets the size of the largest evidence.
+    * An effect at an unknown angle of a joint gets the likeliest angle.
+    * An event whose amplitudes have no initial value gets the likeliest time, even if a time is given.
+    * An effect that aligns the curves of another, and has no initial value, gets the joints that share one curve. It
+      replaces the other effect there. Joints that were not named and do not share the curve have a curve of their own.
+    * An effect with amplitudes of unknown size gets the size with the largest evidence.
 
     Parameters
     ----------
+    terms
+        The wanted terms.
+    effects
+        Name → effect.
+    layout
+        Layout of the campaigns.
     start
-        What is known of the values.
+        Slot → known initial value, SI.
     fit_terms
         Fits some terms to the rows.
+
+    Returns
+    -------
+    terms, start
+        The terms, and slot → initial value, SI.
 
     Raises
     ------
     EffectError
-        No two joints, or not those named, have the same curve.
+        No two joints, or not the named ones, have the same curve.
     """
     terms, start = tuple(terms), dict(start)
     known = {slot.effect for slot in start}
@@ -71,14 +81,14 @@ def initial_values(
         terms = (*rest, *(Term(name, p) for p in shared), *(Term(effect.aligns, p) for p in own))
         start |= estimate.values() | found.values(effect)
     start |= _times(terms, effects, start, fit_terms)
-    start |= _middles(terms, effects, layout, start, fit_terms)
+    start |= _angles(terms, effects, layout, start, fit_terms)
     return terms, start | _sizes(terms, effects, start, fit_terms)
 
 
 def _sizes(
     terms: Sequence[Term], effects: Mapping[str, Effect], start: Mapping[Slot, float], fit_terms: FitTerms
 ) -> dict[Slot, float]:
-    """Sizes of amplitudes that have no value yet, with all amplitudes counted in them."""
+    """Sizes of amplitudes that have no value yet, from a fit with all terms."""
     known = {(slot.effect, slot.parameter) for slot in start}
     names = dict.fromkeys(t.effect for t in terms)
     unsized = [n for n in names if effects[n].sized_by is not None and (n, effects[n].sized_by) not in known]
@@ -94,7 +104,7 @@ def _sizes(
 def _times(
     terms: Sequence[Term], effects: Mapping[str, Effect], start: Mapping[Slot, float], fit_terms: FitTerms
 ) -> dict[Slot, float]:
-    """When events happened that have no start value yet, one after the other."""
+    """Times, s, of events whose amplitudes have no initial value, found one after the other."""
     found: dict[Slot, float] = {}
     clock = {(name, e.event) for name, e in effects.items() if e.event is not None}
     known = {slot.effect for slot in start if (slot.effect, slot.parameter) not in clock}
@@ -105,14 +115,14 @@ def _times(
     return found
 
 
-def _middles(
+def _angles(
     terms: Sequence[Term],
     effects: Mapping[str, Effect],
     layout: Layout,
     start: Mapping[Slot, float],
     fit_terms: FitTerms,
 ) -> dict[Slot, float]:
-    """Where effects sit along a joint's angle that have no start value yet, one joint after the other."""
+    """Angles, rad, of effects at an unknown angle of a joint, found one joint after the other."""
     found: dict[Slot, float] = {}
     known = {(slot.effect, slot.place) for slot in start if effects[slot.effect].scanned == slot.parameter}
     scanned = [t for t in dict.fromkeys(terms) if effects[t.effect].scanned is not None]
@@ -127,18 +137,18 @@ def _middles(
 
 
 def _places(terms: Sequence[Term], name: str, layout: Layout, effects: Mapping[str, Effect]) -> list[str]:
-    """Where an effect is active."""
+    """The places at which the effect ``name`` is active."""
     own = [t.place for t in terms if t.effect == name]
     return list(layout.allowed(effects[name])) if None in own else [p for p in own if p is not None]
 
 
 def _refusal(name: str, own: str, places: Sequence[str], found: Alignment | None) -> str:
-    """Why the joints do not share a curve."""
+    """The message of an error: the joints do not share a curve."""
     where = ", ".join(places)
     if found is None:
         return f"{name}: expected two joints or more that could share a curve, found {where or 'none'}"
     odds = ", ".join(f"joint{j + 1} {value:.1f}" for j, value in sorted(found.refused.items()))
     return (
-        f"{name}: these rows do not say that the angle errors of {where} are one curve (logarithm of the odds to share "
-        f"one: {odds}); {own} gives each joint a curve of its own"
+        f"{name}: expected joints with the same curve of angle errors, found no evidence of one for {where} (logarithm "
+        f"of the odds: {odds}); {own} gives each joint its own curve"
     )

@@ -1,19 +1,18 @@
-"""All tables of a campaign in one fit, with the parameters that the stages share.
+"""The joint fit of all stages, with one value for each parameter that several stages share.
 
-The stages' whitened residuals are stacked, and one parameter vector holds every stage's own parameters and, once, those
-that several share: masses, arm-side friction, springs, clearances. The normal equations of the whole are the sums of
-the stages' own, each in its columns, so that what a step costs is what the stages cost one by one; a torque log whose
-effects are linear enters by its sums alone, which are sufficient. Source: Golub & Van Loan, Matrix Computations (2013),
-section 5.3 (normal equations of stacked rows); the weights are those that each stage's residual gave when it was fitted
-alone.
+The whitened residuals of the stages are stacked. One parameter vector holds the parameters of every stage, and once
+those that several stages share: masses, arm-side friction, springs, clearances. The normal equations are the sums of
+those of the stages, each in its columns, so a step costs as much as one step of each stage. A torque log with linear
+effects enters by its sums only, which are sufficient statistics. Source: Golub & Van Loan, Matrix Computations (2013),
+section 5.3 (normal equations of stacked rows). The weights are those of each stage's fit alone.
 
-What acts at a motor's shaft is not shared: friction of a motor that creeps in a clamp is not that of one in motion.
-Neither are springs and clearances where the poses contradict the clamped sweeps (`clampid.identification.carried`): one
-of the two is not understood, and would spoil the other.
+Effects at a motor's shaft are not shared: a motor that creeps against a clamp has other friction than one in motion.
+Springs and clearances are not shared if the poses contradict the clamped sweeps (`clampid.identification.carried`). The
+model of one of the two is then wrong, and would bias the other.
 
-For each stage the result also has the information of all *other* rows on its parameters: the information matrix of the
-rest, with the rest's own parameters eliminated. With it a stage can be fitted again alone (other effects, other folds),
-without counting any row twice; to first order the result is that of the joint fit.
+For each stage the result also has the information of all *other* rows on its parameters, with all other parameters
+eliminated. With this prior a stage can be fitted again alone, with other effects or folds, without counting any row
+twice. To first order the result is that of the joint fit.
 """
 
 from __future__ import annotations
@@ -28,8 +27,9 @@ from clampid.effect import Effect, Stage
 from clampid.fitting.descent import Limits, Point, descend, inverse_of
 from clampid.fitting.flanks import settled
 from clampid.fitting.moments import LogPoint
+from clampid.fitting.prior_and_start import prior_of
 from clampid.fitting.priors import description_priors
-from clampid.fitting.solve import Estimate, StagePoint, limits_of, prior_of, stage_point
+from clampid.fitting.solve import Estimate, StagePoint, limits_of, stage_point
 from clampid.fitting.visits import gradient_covariance
 from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify_log import FittedLog
@@ -41,34 +41,44 @@ from clampid.stages.rows import Array, Integers
 __all__ = ["JointPart", "fit_jointly", "is_shared", "shared_slots"]
 
 JointPart = FittedStage | FittedLog
-"""A stage as it was fitted alone."""
+"""A stage that was fitted alone."""
 
 Key = tuple[Stage | None, Slot | int]
-"""A parameter of the joint fit: its stage (None where shared), and its slot or the number of its offset."""
+"""A parameter of the joint fit: its stage (None if shared), and its slot or the number of its offset."""
 
 
 def is_shared(effect: Effect) -> bool:
-    """Whether an effect is the arm's, the same in every experiment; friction at a motor's shaft is not."""
+    """Whether an effect has the same parameters in every experiment: all but those at a motor's shaft alone."""
     return set(effect.acts) != {"motor_torque"}
 
 
 @dataclass(frozen=True)
 class _Union:
-    """The joint parameter vector ``(U,)``: where each stage's own stand in it, its prior, its limits."""
+    """The joint parameter vector ``(U,)``.
+
+    Attributes
+    ----------
+    columns
+        For each stage, the numbers of its parameters in the joint vector.
+    precision, mean
+        The prior: ``(U, U)`` and ``(U,)``.
+    limits
+        Sizes and bounds of the parameters.
+    """
 
     columns: tuple[Integers, ...]
     precision: Array
     mean: Array
     limits: Limits
 
-    def off(self, theta: Array) -> float:
-        """What the prior adds to the cost."""
+    def prior_cost(self, theta: Array) -> float:
+        """The prior's part of the cost."""
         return float((theta - self.mean) @ self.precision @ (theta - self.mean))
 
 
 @dataclass(frozen=True)
 class _Joint:
-    """The stages at one joint parameter vector."""
+    """The stages at one joint parameter vector ``theta`` ``(U,)``; a point of `clampid.fitting.descent.descend`."""
 
     theta: Array
     points: tuple[Point, ...]
@@ -76,17 +86,20 @@ class _Joint:
 
     @property
     def cost(self) -> float:
+        """Sum of squares of the whitened residuals of all stages."""
         return sum(p.cost for p in self.points)
 
     @property
     def count(self) -> int:
+        """Number of their entries."""
         return sum(p.count for p in self.points)
 
     def normal(self) -> tuple[Array, Array]:
+        """Normal matrix ``(U, U)`` and downhill gradient ``(U,)``."""
         return self.weighted(np.ones(len(self.points)))
 
     def weighted(self, weights: Array) -> tuple[Array, Array]:
-        """The sum of the stages' normal matrices and gradients, each times its weight."""
+        """Sums of the normal matrices ``(U, U)`` and gradients ``(U,)`` of the stages, times ``weights`` (stages,)."""
         A, g = np.zeros((len(self.theta), len(self.theta))), np.zeros(len(self.theta))
         for point, columns, weight in zip(self.points, self.columns, weights, strict=True):
             own, slope = point.normal()
@@ -96,17 +109,17 @@ class _Joint:
 
 
 def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
-    """Fit stages at once that were fitted one by one, from where they are.
+    """Fit several stages jointly, starting from their separate fits.
 
     Parameters
     ----------
     parts
-        The stages, each fitted to rows that no other has.
+        The stages, each fitted alone to its own rows.
 
     Returns
     -------
     list
-        The stages at the joint solution, with ``carried_prior`` in their models.
+        The stages at the joint solution, with a ``carried_prior`` in their models.
 
     Raises
     ------
@@ -116,15 +129,15 @@ def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
     union = _union(parts)
     best = settled(
         _start(parts, union),
-        lambda theta: [_experiment(p).with_flanks(theta[c]) for p, c in zip(parts, union.columns, strict=True)],
+        lambda theta: [_problem(p).with_flanks(theta[c]) for p, c in zip(parts, union.columns, strict=True)],
         lambda frozen, theta: _search(parts, frozen, union, theta),
-        lambda frozen, theta: _at(parts, frozen, union, theta).cost + union.off(theta),
+        lambda frozen, theta: _at(parts, frozen, union, theta).cost + union.prior_cost(theta),
     )
     weights = _weights(best, union)
     covariance = _covariance(parts, best, union, weights)
     out: list[JointPart] = []
     for k, (part, columns) in enumerate(zip(parts, union.columns, strict=True)):
-        carried_prior = _prior_of_the_others(best, union, weights, k, _experiment(part))
+        carried_prior = _prior_of_the_others(best, union, weights, k, _problem(part))
         own, spread = best.theta[columns], covariance[np.ix_(columns, columns)]
         if isinstance(part, FittedLog):
             out.append(part.with_solution(own, spread, carried_prior))
@@ -134,12 +147,12 @@ def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
 
 
 def _union(parts: Sequence[JointPart]) -> _Union:
-    """Number the parameters; those that stages share have one number."""
+    """The joint parameter vector of the stages; a shared parameter has one number in it."""
     shared = shared_slots(parts)
     number: dict[Key, int] = {}
     columns = []
     for part in parts:
-        trial = _experiment(part)
+        trial = _problem(part)
         own: list[int] = []
         for slot in trial.slots:
             own.append(number.setdefault((None if slot in shared else trial.stage, slot), len(number)))
@@ -149,7 +162,7 @@ def _union(parts: Sequence[JointPart]) -> _Union:
     mean, precision = np.zeros(size), np.zeros((size, size))
     scale, lower, upper, bounded = np.ones(size), np.full(size, -np.inf), np.full(size, np.inf), np.zeros(size, bool)
     for part, here in zip(parts, columns, strict=True):
-        trial = _experiment(part)
+        trial = _problem(part)
         own_precision, own_mean = prior_of(trial, description_priors(trial.rows))
         precision[np.ix_(here, here)] = own_precision
         limits = limits_of(trial)
@@ -160,10 +173,10 @@ def _union(parts: Sequence[JointPart]) -> _Union:
 
 
 def shared_slots(parts: Sequence[JointPart]) -> frozenset[Slot]:
-    """The parameters that have one value in several stages of this fit."""
+    """The parameters that have one value in several of these stages."""
     contradicted = any(isinstance(p, FittedStage) and p.contradicted for p in parts)
     count: Counter[Slot] = Counter()
-    for trial in map(_experiment, parts):
+    for trial in map(_problem, parts):
         count.update(
             s
             for s in trial.slots
@@ -173,49 +186,50 @@ def shared_slots(parts: Sequence[JointPart]) -> frozenset[Slot]:
 
 
 def _start(parts: Sequence[JointPart], union: _Union) -> Array:
-    """The mean ``(U,)`` of what the stages say alone, each weighted by its information, and the description.
+    """Initial values ``(U,)``: the mean of the separate fits and the prior, weighted by their information.
 
-    From one stage's values for all that it shares, another's unknown constants of sweeps are far off, and where gaps
-    open and close no step from there leads down.
+    With one stage's values of the shared parameters, the constants of another stage's sweeps would be far from their
+    best values. Where clearances open and close, a search from there may find no lower cost.
     """
     A, b = union.precision.copy(), union.precision @ union.mean
     for part, columns in zip(parts, union.columns, strict=True):
         alone = _alone(part)
-        own, slope = _point(part, _experiment(part), alone).normal()
+        own, slope = _point(part, _problem(part), alone).normal()
         A[np.ix_(columns, columns)] += own
         b[columns] += own @ alone + slope
     return union.limits.clipped(inverse_of(A) @ b)
 
 
 def _alone(part: JointPart) -> Array:
-    """The parameters ``(P,)`` of a stage as it was fitted alone."""
+    """The parameters ``(P + K,)`` of a stage's separate fit, SI."""
     return part.fit.moments.at if isinstance(part, FittedLog) else part.estimate.theta
 
 
 def _point(part: JointPart, trial: FitProblem, theta: Array) -> Point:
-    """A stage at its own parameter vector."""
+    """One stage at its parameters ``theta`` ``(P + K,)``."""
     if isinstance(part, FittedLog):
         return LogPoint(part.fit.moments.moved(theta))
     return stage_point(trial, part.estimate.noise, theta)
 
 
 def _search(parts: Sequence[JointPart], frozen: Sequence[FitProblem], union: _Union, start: Array) -> _Joint:
-    """The lowest point downhill from a start ``(U,)``, with flanks frozen."""
+    """The minimum reached from ``start`` ``(U,)``, with frozen flanks."""
     return descend(lambda x: _at(parts, frozen, union, x), start, union.precision, union.mean, union.limits)[0]
 
 
 def _at(parts: Sequence[JointPart], frozen: Sequence[FitProblem], union: _Union, theta: Array) -> _Joint:
-    """The stages at one joint parameter vector ``(U,)``."""
+    """The stages at the joint parameter vector ``theta`` ``(U,)``, with frozen flanks."""
     found = (_point(p, e, theta[c]) for p, e, c in zip(parts, frozen, union.columns, strict=True))
     return _Joint(theta, tuple(found), union.columns)
 
 
-def _experiment(part: JointPart) -> FitProblem:
+def _problem(part: JointPart) -> FitProblem:
+    """The problem of a stage's separate fit."""
     return part.stage.problem if isinstance(part, FittedLog) else part.estimate.problem
 
 
 def _weights(best: _Joint, union: _Union) -> Array:
-    """One over the variance ``(stages,)`` that each stage's whitened residual is left with."""
+    """Reciprocal variance of each stage's whitened residual at the joint solution ``(stages,)``."""
     A, _ = best.normal()
     covariance = inverse_of(A + union.precision)
     out = []
@@ -226,9 +240,9 @@ def _weights(best: _Joint, union: _Union) -> Array:
 
 
 def _covariance(parts: Sequence[JointPart], best: _Joint, union: _Union, weights: Array) -> Array:
-    """Covariance ``(U, U)`` of the solution, with what the numbers of a pose's visit share, as in `fitting.visits`.
+    """Covariance ``(U, U)`` of the solution, with the robot's repeatability as in `clampid.fitting.visits`.
 
-    A^-1 M A^-1, A the normal matrix, M the covariance of its gradient.
+    It is A^-1 M A^-1, with A the normal matrix and M the covariance of the gradient.
     """
     A, _ = best.normal()
     inverse = inverse_of(A + union.precision)
@@ -238,19 +252,19 @@ def _covariance(parts: Sequence[JointPart], best: _Joint, union: _Union, weights
         if isinstance(part, FittedStage) and part.estimate.scatter is not None and isinstance(point, StagePoint):
             own = gradient_covariance(part.estimate, point)
         middle[np.ix_(columns, columns)] += own
-    size = np.sqrt(np.maximum(np.diag(inverse), 1e-300))  # balanced, since parameters are of very different sizes
+    size = np.sqrt(np.maximum(np.diag(inverse), 1e-300))  # for numerical balance: parameters have different sizes
     balanced, middle = inverse / np.outer(size, size), middle * np.outer(size, size)
     found = balanced @ middle @ balanced
     return np.asarray(0.5 * (found + found.T) * np.outer(size, size))
 
 
 def _prior_of_the_others(best: _Joint, union: _Union, weights: Array, k: int, trial: FitProblem) -> Prior:
-    """What all rows but those of stage ``k`` say of its slots, and the description."""
+    """Information of the description and of all rows but those of stage ``k`` on its shared slots, as a prior."""
     others = weights.copy()
     others[k] = 0.0
     A, _ = best.weighted(others)
     covariance = inverse_of(A + union.precision)
-    # At the solution the rest, prior and bounds pull just as hard as the stage's own rows, the other way.
+    # At the solution the gradients cancel: that of all others, prior and bounds is the opposite of the stage's own.
     pull = np.zeros(len(best.theta))
     pull[best.columns[k]] = -weights[k] * best.points[k].normal()[1]
     mean = best.theta + covariance @ pull
@@ -260,7 +274,7 @@ def _prior_of_the_others(best: _Joint, union: _Union, weights: Array, k: int, tr
 
 
 def _estimate(part: FittedStage, theta: Array, covariance: Array, carried_prior: Prior) -> Estimate:
-    """A stage's estimate at the joint solution."""
+    """A stage's estimate at the joint solution ``theta`` ``(P + K,)``, with its ``covariance``."""
     alone = part.estimate
     point = stage_point(alone.problem, alone.noise, theta)
     precision, mean = prior_of(alone.problem, (carried_prior,))

@@ -1,13 +1,13 @@
-"""Where a joint fit and the same stages fitted one by one disagree by more than chance.
+"""Hausman test of a joint fit against the stages fitted one by one: significant differences of shared parameters.
 
-Both are estimates of the same numbers, and the joint one uses every row, so that where all is as modelled the
-difference has the variance σ²_apart − σ²_joint (the efficient estimate is uncorrelated with what the other has beyond
-it). A larger difference says that some stage's rows contradict another's. Source: Hausman, Specification tests in
-econometrics, Econometrica 46, 1978, theorem 2.1; over all parameters of a stage by Holm, as in
+Both fits estimate the same parameters, and the joint fit uses all rows. If the model is right, the difference has the
+variance σ²_apart − σ²_joint, since an efficient estimate is uncorrelated with the difference to another estimate. A
+larger difference means that the rows of different stages contradict each other. Source: Hausman, Specification tests in
+econometrics, Econometrica 46, 1978, theorem 2.1. Several parameters are tested by Holm's method, as in
 `clampid.models.agreement`.
 
-If the other stages add almost no information to a stage, the variance of the difference is itself a small difference of
-large numbers. It is taken as at least a tenth of σ²_apart, which only makes the test less sensitive.
+If the other stages add almost no information to a stage, the variance of the difference is a small difference of large
+numbers. It is taken as at least a tenth of σ²_apart, which only makes the test less sensitive.
 """
 
 from __future__ import annotations
@@ -25,19 +25,21 @@ from clampid.slots import Slot
 
 __all__ = ["StageDisagreement", "joint_fit_disagreements"]
 
-MIN_VARIANCE_SHARE = 0.1  # of the variance apart that counts as the difference's
+MIN_VARIANCE_SHARE = 0.1  # least variance of the difference, as a share of the variance of the separate fit
 
 
 @dataclass(frozen=True)
 class StageDisagreement:
-    """A parameter that the joint fit sees elsewhere than its stage alone; SI.
+    """A parameter whose values in the joint fit and in the separate fit of its stage differ significantly.
 
     Attributes
     ----------
+    slot
+        The parameter.
     apart, joint
-        Value and standard error.
+        Value and standard error, SI, of the separate fit and of the joint fit.
     z
-        The difference in standard errors of it.
+        The difference, in units of its standard error.
     """
 
     slot: Slot
@@ -46,7 +48,7 @@ class StageDisagreement:
     z: float
 
     def to_json(self) -> dict[str, Any]:
-        """For programs."""
+        """The numbers for JSON."""
         return {
             "parameter": f"{self.slot.effect}.{self.slot.parameter}",
             "where": self.slot.place,
@@ -61,14 +63,14 @@ class StageDisagreement:
 def joint_fit_disagreements(
     apart: StageModel, joint: StageModel, shared: Collection[Slot]
 ) -> tuple[StageDisagreement, ...]:
-    """The parameters on which a stage alone and the joint fit disagree: 5 % chance that any does where all is well.
+    """The parameters of a stage whose separate fit and joint fit differ; 5 % chance of any if the model is right.
 
     Parameters
     ----------
     apart, joint
-        The same stage, with the same slots.
+        The stage of the separate fit and of the joint fit, with the same slots.
     shared
-        The parameters that several stages share; only these are tested, for the others follow them.
+        The parameters that several stages share. Only these are tested, since all others follow them.
     """
     tested = [k for k, slot in enumerate(apart.slots) if slot in shared and apart.identified[k] and apart.std[k] > 0]
     if not tested:

@@ -1,4 +1,4 @@
-"""A model on a campaign, or all it was fitted on: its slots carried to their layout, and fitted again where asked."""
+"""A model applied to a campaign, or to all campaigns that it was fitted on: rows, predictions and refits."""
 
 from __future__ import annotations
 
@@ -31,18 +31,23 @@ __all__ = ["ModelOnCampaign", "on_campaign"]
 
 @dataclass(frozen=True)
 class ModelOnCampaign:
-    """A model's stages on one campaign, or on several, which then are all that it was fitted on.
+    """A model with one campaign, or with all campaigns that it was fitted on.
 
     Attributes
     ----------
+    model, campaigns, effects
+        The model, the campaigns, and the catalogue (name → effect).
+    layout
+        Layout of the campaigns.
     session
-        Index of the one campaign among those the model was fitted on, or None.
+        For a single campaign, its index among those that the model was fitted on; None if it is not one of them, or
+        for several campaigns.
     stages
-        The model's stages that the campaigns have tables for, slots renamed to the one campaign's own layout.
+        The model's stages, with the slots' places renamed to this layout.
     base
-        Session → where the instrument sees the base; None where the campaign must say itself.
+        Session → reference pose of the base ``(4, 4)``, instrument frame; None: from the rows of the campaign.
     anchors
-        The same of the anchors of distances.
+        Session → reference positions of the anchors of distances; None: from the campaign.
     """
 
     model: Model
@@ -56,15 +61,15 @@ class ModelOnCampaign:
 
     @property
     def campaign(self) -> Campaign:
-        """The one, or the first of several."""
+        """The campaign, or the first of several."""
         return self.campaigns[0]
 
     def has(self, tables: Collection[str]) -> bool:
-        """Whether any campaign has one of some tables."""
+        """Whether any campaign has any of these tables."""
         return any(table in c.tables for c in self.campaigns for table in tables)
 
     def rows(self, stage: Stage) -> Rows:
-        """The rows of a stage."""
+        """The rows of a stage, for its active effects."""
         terms = self.stages[stage].terms
         return stage_rows(
             self.campaigns,
@@ -76,18 +81,18 @@ class ModelOnCampaign:
         )
 
     def verification(self, base: Mapping[int, Array] | None = None) -> Rows | None:
-        """The rows of the table verification, if there is one."""
+        """The rows of the table ``verification``; None if there is none. ``base`` replaces that of this value."""
         if not self.has(("verification",)) or known_of(self.stages, "points") is None:
             return None
         return pose_rows(self.campaigns, self.layout, "verification", base or self.base)
 
     def fit_problem(self, stage: Stage, rows: Rows) -> FitProblem:
-        """Rows of a stage with the model's slots of it active."""
+        """The problem of rows of a stage with the model's slots."""
         model = self.stages[stage]
         return fit_problem(rows, self.effects, model.slots, model.lean)
 
     def held_out(self, stage: Stage) -> tuple[tuple[int, ...], ...]:
-        """The folds ``(campaigns, folds)`` that no fit has seen."""
+        """Numbers of the folds that were held out, for each campaign; empty for a campaign that was not fitted."""
         kept = self.stages[stage].held_out
         if len(self.campaigns) > 1:
             return kept
@@ -97,10 +102,14 @@ class ModelOnCampaign:
 
     @substep("fitting the effects again", 0.3)
     def refit(self, stage: Stage, rows: Rows | None = None, *, settled: bool = False) -> FittedStage:
-        """Fit the stage's active effects to the campaigns (or their rows already read), from the model's values.
+        """Fit a stage's active effects to the campaigns again, from the model's values.
 
         Parameters
         ----------
+        stage
+            The stage.
+        rows
+            Its rows, if they have been read.
         settled
             Whether poses are fitted once more, starting with the noise that the first fit learned. A round of ``add``
             starts with that of the round before. So both reject the same outliers.
@@ -119,13 +128,22 @@ class ModelOnCampaign:
 def on_campaign(
     model: Model, campaigns: Campaign | Sequence[Campaign], user_effects: Path | None = None
 ) -> ModelOnCampaign:
-    """Carry a model to a campaign, or to all that it was fitted on, in their order.
+    """Apply a model to a campaign, or to all campaigns that it was fitted on, in their order.
+
+    Parameters
+    ----------
+    model
+        The model.
+    campaigns
+        One campaign, or all that the model was fitted on.
+    user_effects
+        File or folder of the user's own effects; None: that of the model.
 
     Raises
     ------
     ModelError
-        The model is of another robot, has effects that are not known here, or no stage that the campaign has tables
-        for; or several campaigns are not those of the model.
+        The model is of another robot, has unknown effects, or no stage that the campaign has tables for; or several
+        campaigns are not those of the model.
     """
     several = (campaigns,) if isinstance(campaigns, Campaign) else tuple(campaigns)
     for campaign in several:
@@ -138,7 +156,7 @@ def on_campaign(
 
 
 def _on_all(model: Model, campaigns: tuple[Campaign, ...], effects: Mapping[str, Effect]) -> ModelOnCampaign:
-    """The campaigns that the model was fitted on."""
+    """The model on all campaigns that it was fitted on."""
     layout = layout_of(campaigns)
     prints = tuple(c.fingerprint for c in campaigns)
     if layout != model.layout or prints != tuple(s.fingerprint for s in model.sessions):
@@ -150,7 +168,7 @@ def _on_all(model: Model, campaigns: tuple[Campaign, ...], effects: Mapping[str,
 
 
 def _on_one(model: Model, campaign: Campaign, effects: Mapping[str, Effect]) -> ModelOnCampaign:
-    """One campaign, of the model's or a new one."""
+    """The model on one campaign, which may be one that it was fitted on or a new one."""
     prints = [s.fingerprint for s in model.sessions]
     session = prints.index(campaign.fingerprint) if campaign.fingerprint in prints else None
     here = [s for s in stages_of([campaign]) if s in model.stages]
@@ -161,11 +179,11 @@ def _on_one(model: Model, campaign: Campaign, effects: Mapping[str, Effect]) -> 
         )
     layout = layout_of([campaign])
     stages = {s: _renamed(model.stages[s], session or 0, len(model.sessions), layout) for s in here}
-    if session is None or len(model.sessions) > 1:  # sweeps are counted over all sessions
+    if session is None or len(model.sessions) > 1:  # the sweep of an event is counted over all sessions
         stages = {s: _left_out(m, [e for e in effects.values() if e.event is not None]) for s, m in stages.items()}
-    if session is None:  # how another session's base settled says nothing of this one's
+    if session is None:  # effects of another session, such as a settling base, do not apply to this one
         stages = {s: _left_out(m, [e for e in effects.values() if e.of_session]) for s, m in stages.items()}
-    # Stages without a table here still supply loads and flanks.
+    # Stages without a table in this campaign still give loads and flanks.
     stages |= {s: m for s, m in model.stages.items() if s not in stages}
     base = anchors = None
     reference = model.sessions[session or 0].base_reference if model.sessions else None
@@ -175,7 +193,7 @@ def _on_one(model: Model, campaign: Campaign, effects: Mapping[str, Effect]) -> 
 
 
 def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> StageModel:
-    """Keep what belongs to the robot and to one session; that session's places get the names of a single session."""
+    """The stage with the slots of the robot and of one session, whose places are renamed to a single session's."""
     keep, slots = [], []
     prefix = f"session{session + 1}:"
     for k, slot in enumerate(stage.slots):
@@ -214,9 +232,9 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
     )
 
 
-def _left_out(stage: StageModel, gone: Sequence[Effect]) -> StageModel:
-    """The stage without some effects: what happened once, or in another session, is not in these rows."""
-    names = {effect.name for effect in gone}
+def _left_out(stage: StageModel, removed: Sequence[Effect]) -> StageModel:
+    """The stage without some effects, such as events or effects of another session."""
+    names = {effect.name for effect in removed}
     keep = np.array([k for k, s in enumerate(stage.slots) if s.effect not in names], dtype=int)
     if len(keep) == len(stage.slots):
         return stage
@@ -233,4 +251,5 @@ def _left_out(stage: StageModel, gone: Sequence[Effect]) -> StageModel:
 
 
 def _taken(found: Bootstrap, chosen: Integers) -> Bootstrap:
+    """The bootstrap's results for the parameters with numbers ``chosen``."""
     return replace(found, std=found.std[chosen], low=found.low[chosen], high=found.high[chosen])

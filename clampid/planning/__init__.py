@@ -1,4 +1,4 @@
-"""Choosing measurements: the information of each candidate measurement on the wanted parameters."""
+"""Optimal choice of measurements: plans whose measurements carry the most information on the wanted parameters."""
 
 from clampid.fitting.observability import observability
 from clampid.planning.choose import choose, exchange, greedy, log_det

@@ -1,4 +1,4 @@
-"""Campaigns that have not been measured: planned motion as tables, so that rows are made as for measured ones."""
+"""Imagined campaigns: planned motion as tables of a campaign, so that its rows are made as those of measured ones."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["imagined"]
 
 
 def imagined(cell: Cell, **tables: pd.DataFrame) -> Campaign:
-    """A campaign of a cell with the given tables, as if it had been read."""
+    """A campaign of a cell with the given tables (name → table), as if it had been read from a folder."""
     return Campaign(
         name="plan",
         path=None,

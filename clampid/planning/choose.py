@@ -1,9 +1,9 @@
-"""D-optimal choice among candidates: those that make the determinant of the information largest.
+"""D-optimal choice among candidate measurements: those with the largest determinant of the information.
 
-A candidate is represented by its information F Fᵀ, with a factor F ``(P, r)`` of few columns, in parameters scaled by
-their reasonable size. With A the information so far, taking a candidate multiplies the determinant by
-det(I + Fᵀ A⁻¹ F), and A⁻¹ follows by the same small matrix; giving one up divides it by det(I - Fᵀ A⁻¹ F). So adding,
-and exchanging until nothing gains, never form a determinant anew.
+A candidate has the information F Fᵀ, with a factor F ``(P, r)`` of few columns, in parameters scaled by their
+reasonable size. With A the information so far, adding a candidate multiplies the determinant by det(I + Fᵀ A⁻¹ F), and
+A⁻¹ is updated with the same small matrix. Removing a candidate multiplies the determinant by det(I - Fᵀ A⁻¹ F). No
+determinant of size P is computed when candidates are added or exchanged.
 
 Sources: Fedorov, Theory of Optimal Experiments, 1972 (exchange); Mitchell, An algorithm for the construction of
 D-optimal experimental designs, Technometrics 16, 1974; the matrix determinant lemma and Woodbury's identity for the
@@ -17,11 +17,11 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["choose", "exchange", "factor", "greedy", "log_det"]
+__all__ = ["choose", "exchange", "factor", "factors_of", "greedy", "log_det"]
 
 Array = npt.NDArray[np.float64]
-RENEW = 50  # updates after which the inverse is formed anew, so that rounding does not add up
-GAIN = 1e-6  # of a unit of log-determinant: less is no gain
+UPDATES_PER_INVERSION = 50  # after so many updates the inverse is computed again, which limits rounding errors
+LEAST_GAIN = 1e-6  # of the log-determinant: candidates that add less are not taken
 
 
 def factor(information: Array) -> Array:
@@ -31,14 +31,23 @@ def factor(information: Array) -> Array:
     return np.asarray(vectors[:, keep] * np.sqrt(values[keep]))
 
 
+def factors_of(informations: Sequence[Array]) -> Array:
+    """Factors ``(c, P, r)`` of c matrices ``(P, P)``; narrower ones are filled with columns of zeros."""
+    found = [factor(information) for information in informations]
+    out = np.zeros((len(found), len(found[0]), max(F.shape[1] for F in found)))
+    for k, F in enumerate(found):
+        out[k, :, : F.shape[1]] = F
+    return out
+
+
 def log_det(information: Array) -> float:
-    """Logarithm of the determinant ``(P, P)``; minus infinity where it is not positive."""
+    """Logarithm of the determinant of a matrix ``(P, P)``; minus infinity if the determinant is not positive."""
     sign, value = np.linalg.slogdet(information)
     return float(value) if sign > 0 else -np.inf
 
 
-class _State:
-    """Inverse of the information so far, kept up by small updates."""
+class _Design:
+    """The information of the candidates chosen so far, with its inverse, which is updated with each change."""
 
     def __init__(self, information: Array) -> None:
         self.information = information.copy()
@@ -46,18 +55,18 @@ class _State:
         self._updates = 0
 
     def gains(self, factors: Array) -> Array:
-        """Log-determinant that each candidate ``(c, P, r)`` would add ``(c,)``."""
+        """Gain of the log-determinant ``(c,)`` by each candidate ``(c, P, r)``."""
         inner = np.swapaxes(factors, 1, 2) @ (self.inverse @ factors)
         return np.asarray(np.linalg.slogdet(np.eye(factors.shape[2]) + inner)[1])
 
     def change(self, F: Array, sign: float) -> None:
-        """Add (``sign`` 1) or give up (-1) a candidate ``(P, r)``."""
+        """Add (``sign`` 1) or remove (``sign`` -1) a candidate ``(P, r)``."""
         self.information += sign * F @ F.T
         AF = self.inverse @ F
         inner = sign * np.eye(F.shape[1]) + F.T @ AF
         self.inverse -= AF @ np.linalg.solve(inner, AF.T)
         self._updates += 1
-        if self._updates % RENEW == 0:
+        if self._updates % UPDATES_PER_INVERSION == 0:
             self.inverse = np.linalg.inv(self.information)
 
 
@@ -71,30 +80,30 @@ def greedy(
     start: Sequence[int] = (),
     repeat: bool = False,
 ) -> list[int]:
-    """Candidates in the order in which they gain most, for what they cost.
+    """Choose candidates one by one, each with the largest gain of log-determinant per cost.
 
     Parameters
     ----------
     factors
-        ``(c, P, r)``, see the module; narrower ones are filled up with zeros.
+        Factors of the candidates ``(c, P, r)``, see :func:`factors_of`.
     prior
-        ``(P, P)``: what is known before, positive definite.
+        Information before any measurement ``(P, P)``, positive definite.
     count
-        How many at most.
+        The largest number of candidates; None: no limit.
     cost, budget
-        ``(c,)`` and how much of it may be spent, such as seconds; without costs every candidate costs the same.
+        Cost of each candidate ``(c,)``, such as seconds, and the largest total. Without costs each candidate costs 1.
     start
-        Candidates that are taken in any case; they count and cost.
+        Candidates that are taken in any case; they count towards ``count`` and ``budget``.
     repeat
         Whether a candidate may be taken more than once.
 
     Returns
     -------
     list of int
-        Indices, those of ``start`` first.
+        Indices of the candidates, those of ``start`` first.
     """
     price = np.ones(len(factors)) if cost is None else np.asarray(cost, dtype=float)
-    state, chosen, spent = _State(prior), list(start), float(price[list(start)].sum())
+    state, chosen, spent = _Design(prior), list(start), float(price[list(start)].sum())
     for k in chosen:
         state.change(factors[k], 1.0)
     free = np.ones(len(factors), dtype=bool)
@@ -106,7 +115,7 @@ def greedy(
             break
         gain = state.gains(factors[open_])
         best = int(np.argmax(gain / price[open_]))
-        if gain[best] < GAIN:
+        if gain[best] < LEAST_GAIN:
             break
         k = int(open_[best])
         state.change(factors[k], 1.0)
@@ -126,13 +135,27 @@ def exchange(
     fixed: Sequence[int] = (),
     passes: int = 5,
 ) -> list[int]:
-    """Exchange chosen candidates for others, one at a time, as long as the determinant grows.
+    """Exchange chosen candidates for others, one at a time, while the determinant grows; it never falls.
 
-    Parameters are those of `greedy`; ``fixed`` ones stay. The determinant never falls.
+    Parameters
+    ----------
+    factors, prior, cost, budget
+        As in :func:`greedy`.
+    chosen
+        Indices of the candidates to begin with.
+    fixed
+        Indices that are not exchanged.
+    passes
+        The largest number of passes over all chosen candidates.
+
+    Returns
+    -------
+    list of int
+        Indices, each in the place of the one that it replaces.
     """
     price = np.ones(len(factors)) if cost is None else np.asarray(cost, dtype=float)
     out = list(chosen)
-    state = _State(prior + np.einsum("cpr,cqr->pq", factors[out], factors[out]))
+    state = _Design(prior + np.einsum("cpr,cqr->pq", factors[out], factors[out]))
     spent = float(price[out].sum())
     for _ in range(passes):
         moved = False
@@ -148,7 +171,7 @@ def exchange(
             gain = state.gains(factors[open_])
             own = float(gain[open_ == k][0])
             best = int(np.argmax(gain))
-            new = int(open_[best]) if gain[best] > own + GAIN else k
+            new = int(open_[best]) if gain[best] > own + LEAST_GAIN else k
             state.change(factors[new], 1.0)
             if new != k:
                 spent += float(price[new] - price[k])
@@ -159,6 +182,9 @@ def exchange(
 
 
 def choose(factors: Array, prior: Array, count: int, *, start: Sequence[int] = (), passes: int = 5) -> list[int]:
-    """``count`` candidates whose information has the largest determinant: greedy, then exchanged."""
+    """Indices of ``count`` candidates: chosen by :func:`greedy`, improved by :func:`exchange`.
+
+    Parameters are those of these two functions; the candidates of ``start`` are kept.
+    """
     picked = greedy(factors, prior, count=count, start=start)
     return exchange(factors, prior, picked, fixed=start, passes=passes)

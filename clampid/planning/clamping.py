@@ -1,8 +1,8 @@
-"""Plans the clamping experiment: in which postures to clamp, which joints to drive, how far, in what steps.
+"""Plans of the clamping experiment: postures to clamp, joints to drive, amplitudes and numbers of steps.
 
-The gain of a sweep is the information of its rows on springs, clearances and friction, with the unknown posture of the
-clamping eliminated. Its cost is the wrench on the clamp. The wrench is computed for every step, with springs stiffer
-than described by a margin, and is bounded. A sweep beyond a limit is refused here, and stopped when it is run.
+The gain of a sweep is the information of its rows on springs, clearances and friction, with the unknown clamped posture
+eliminated. Its cost is its duration. The wrench on the clamp is computed for every step, with springs stiffer than
+described by a margin. A sweep that exceeds a limit is refused here, and stopped when it is run.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from clampid.planning.choose import factor, greedy, log_det
+from clampid.planning.choose import factors_of, greedy, log_det
 from clampid.planning.clamping_bench import ClampingBench, cost_of, duration_of
 from clampid.planning.expected import expected_of
 from clampid.planning.logs import TorqueNoise
@@ -29,34 +29,34 @@ from experiments.plans.model import Cell, Plan, Sweep
 from experiments.plans.press import SINGULAR, flange_jacobian, holding_torque, wrenches
 from experiments.plans.validate import sweep_fault, validate_plan
 
-__all__ = ["ClampingWishes", "careful_limits", "in_order", "plan_clamping", "planned_sweep", "postures_for"]
+__all__ = ["ClampingWishes", "careful_limits", "clamping_order", "plan_clamping", "planned_sweep", "postures_for"]
 
 
-POSTURES = 16
-POSTURES_TRIED = 600  # configurations among which postures are looked for
-STEPS_PER_QUARTER = (8, 16, 32)  # steps in a quarter of a sweep
-MOST_SWEEPS = 24  # each has unknowns of its own, which a fit has to carry along
-MOST_CLAMPINGS = 3
-LOOPS = 2
-FRICTION = 0.15  # of the rated torques: what friction and the preload of clamping may add to every motor's reading
+POSTURES = 16  # candidate postures to clamp
+POSTURES_TRIED = 600  # configurations from which the candidate postures are chosen
+STEPS_PER_QUARTER = (8, 16, 32)  # steps in a quarter of a loop
+MAX_SWEEPS = 24  # each sweep adds unknown constants to the fit
+MAX_CLAMPINGS = 3
+LOOPS_PER_SWEEP = 2
+FRICTION_SHARE = 0.15  # of the rated torque: friction and preload of clamping may add this to each motor's reading
 
 
 @dataclass(frozen=True, eq=False)
 class ClampingWishes:
-    """What sweeps against a clamp are wanted.
+    """The wishes for a plan of clamped sweeps.
 
     Attributes
     ----------
     time
-        Budget, s, clamping included.
+        Time budget, s, with the time for clamping.
     effects
-        What is asked.
+        Effects whose parameters are to be identified.
     joints
-        Which to drive, from 0; None: all.
+        Numbers of the joints to drive, from 0; None: all.
     postures
-        ``(k, n)`` rad: where the flange can be clamped; None: chosen among many.
+        Postures in which the flange can be clamped ``(k, n)``, rad; None: chosen among many.
     seed
-        Of the candidate postures.
+        Seed of the candidate postures.
     """
 
     time: float = 7200.0
@@ -82,18 +82,20 @@ def plan_clamping(
     Parameters
     ----------
     cell, limits, noise, press
-        What it is for; the limits are those of `press_limits`.
+        The cell, the limits by :func:`~clampid.planning.press.press_limits`, the torque noise, and how hard to press.
     wished
         Which sweeps are wanted.
     scene
-        What the arm must not touch.
+        Obstacles; by default the floor only.
     assumed
-        What had to be assumed so far.
+        Assumptions made so far, in words, for the plan.
 
     Raises
     ------
     PlanError
         A sweep would exceed a limit in every posture, the time is too short, or a number is out of range.
+    EffectError
+        An effect is unknown.
     """
     wished = wished or ClampingWishes()
     time, effects = wished.time, wished.effects
@@ -102,8 +104,8 @@ def plan_clamping(
     blank = Plan("clamping", cell, limits, 0.0, stiffness=press.margin * press.stiffness)
     around = scene or Scene.floor_only(cell)
     given = wished.postures
-    places = postures_for(cell, limits, around, wished.seed) if given is None else np.asarray(given, dtype=float)
-    allowed = _allowed(blank, press, places, driven)
+    postures = postures_for(cell, limits, around, wished.seed) if given is None else np.asarray(given, dtype=float)
+    allowed = _allowed(blank, press, postures, driven)
     best: tuple[float, list[Sweep], Array, int] | None = None
     bench = ClampingBench(cell, noise, press, effects)
     for steps in STEPS_PER_QUARTER:
@@ -118,7 +120,7 @@ def plan_clamping(
     if best is None:
         sweeps = [planned_sweep(blank, press, posture, joint, STEPS_PER_QUARTER[0]) for posture, joint in allowed]
         raise PlanError(_too_short(bench, sweeps, bench.evaluate(sweeps), driven, press, time))
-    chosen = in_order(best[1])
+    chosen = clamping_order(best[1])
     plan = replace(
         blank,
         duration=duration_of(chosen, press),
@@ -144,6 +146,7 @@ def plan_clamping(
 
 
 def _check(cell: Cell, press: Press, time: float) -> None:
+    """Raise :class:`PlanError` for numbers that no plan can have."""
     if not time > 0 or not np.isfinite(time):
         raise PlanError(f"time: expected seconds above 0, found {time:g}")
     if press.amplitude.shape != (cell.robot.n,) or np.any(press.amplitude <= 0) or np.any(press.amplitude > 1):
@@ -163,13 +166,26 @@ def _check(cell: Cell, press: Press, time: float) -> None:
 
 
 def postures_for(cell: Cell, limits: Limits, scene: Scene, seed: int) -> Array:
-    """Postures clear of everything, far from singular, unlike each other."""
+    """Candidate postures to clamp ``(k, n)``, rad: clear of obstacles, far from singular, far from each other.
+
+    Parameters
+    ----------
+    cell, limits, scene
+        The cell, its limits and its obstacles.
+    seed
+        Seed of the configurations from which they are chosen.
+
+    Raises
+    ------
+    PlanError
+        There are none.
+    """
     q = configurations(limits, POSTURES_TRIED, scene.clear, seed, why="clear of floor and obstacles")
     condition = np.array([np.linalg.cond(flange_jacobian(cell.robot, row)) for row in q])
     good = q[condition < SINGULAR]
     if not len(good):
         raise PlanError(f"{cell.robot.name}: expected postures far from singular, found none among {len(q)}")
-    # Those with little weight on their drives first: sweeps from there cross zero torque, and with it the gap.
+    # Postures with little gravity torque first: sweeps from there cross zero torque, and with it the clearance.
     load = holding_torque(cell.robot, good, cell.gravity, cell.tool_mass, cell.tool_com)
     weight = np.max(np.abs(load) / np.array([j.rated_torque or 1.0 for j in cell.robot.joints]), axis=1)
     good = good[np.argsort(weight * condition[condition < SINGULAR])[: 6 * POSTURES]]
@@ -182,31 +198,51 @@ def postures_for(cell: Cell, limits: Limits, scene: Scene, seed: int) -> Array:
 
 
 def planned_sweep(blank: Plan, press: Press, posture: Array, joint: int, steps: int) -> Sweep:
-    """Forward, back, beyond and forward again, twice, in equal steps."""
+    """A sweep of one joint in equal steps: forward, back, beyond and to the start again, twice.
+
+    Parameters
+    ----------
+    blank
+        The plan without sweeps; its ``stiffness`` gives the wrenches on the clamp.
+    press
+        How hard to press.
+    posture
+        Clamped posture ``(n,)``, rad.
+    joint
+        Number of the driven joint, from 0.
+    steps
+        Steps in a quarter of a loop.
+    """
     robot = blank.cell.robot
     turn = np.abs(np.linalg.inv(np.asarray(robot.transmission)).T[joint, joint])  # own motor per joint angle
     reach = press.amplitude[joint] * press.rated[joint] / (press.stiffness[joint] * turn)
     up = np.arange(1, steps + 1) / steps
-    offset = np.round(reach * np.tile(np.concatenate([up, 1 - up, -up, up - 1]), LOOPS), 9)
+    offset = np.round(reach * np.tile(np.concatenate([up, 1 - up, -up, up - 1]), LOOPS_PER_SWEEP), 9)
     stiff = blank.stiffness if blank.stiffness is not None else press.stiffness
     _, force, moment = wrenches(robot, stiff, posture, joint, offset)
     return Sweep(1, joint, posture, offset, press.dwell, force, moment)
 
 
-def _allowed(blank: Plan, press: Press, places: Array, driven: Sequence[int]) -> list[tuple[Array, int]]:
-    """The sweeps that keep the limits; those that would not are refused, and if none is left for a joint, all are."""
+def _allowed(blank: Plan, press: Press, postures: Array, driven: Sequence[int]) -> list[tuple[Array, int]]:
+    """Postures and joints whose sweeps keep the limits.
+
+    Raises
+    ------
+    PlanError
+        A joint has no such posture.
+    """
     found = []
-    careful = [careful_limits(blank, press, posture) for posture in places]
+    careful = [careful_limits(blank, press, posture) for posture in postures]
     for joint in driven:
         faults = [
             (sweep_fault(plan, planned_sweep(blank, press, posture, joint, STEPS_PER_QUARTER[0])), posture)
-            for plan, posture in zip(careful, places, strict=True)
+            for plan, posture in zip(careful, postures, strict=True)
         ]
         mine = [(p, joint) for fault, p in faults if fault is None]
         if not mine:
             raise PlanError(
                 f"joint {joint + 1}: expected a posture in which a sweep to {press.amplitude[joint]:g} of the rated "
-                f"torque keeps the limits, less what friction may add, found none among {len(places)}; in the first, "
+                f"torque keeps the limits, less what friction may add, found none among {len(postures)}; in the first, "
                 f"{faults[0][0]}; less amplitude or a stronger clamp would do"
             )
         found += mine
@@ -214,18 +250,18 @@ def _allowed(blank: Plan, press: Press, places: Array, driven: Sequence[int]) ->
 
 
 def careful_limits(blank: Plan, press: Press, posture: Array) -> Plan:
-    """The plan with as much taken off its limits as friction and preload may add to what is read in a posture."""
+    """The plan with its limits reduced by what friction and preload may add to torques and wrench in a posture."""
     limits, ratio = blank.limits, np.abs(np.diag(np.asarray(blank.cell.robot.transmission)))
     n = blank.cell.robot.n
     signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * n)).reshape(n, -1).T
-    W = (signs * FRICTION * press.rated / ratio) @ np.linalg.pinv(flange_jacobian(blank.cell.robot, posture))
+    W = (signs * FRICTION_SHARE * press.rated / ratio) @ np.linalg.pinv(flange_jacobian(blank.cell.robot, posture))
     force, moment = (float(np.linalg.norm(part, axis=1).max()) for part in (W[:, :3], W[:, 3:]))
     torque = press.rated if limits.motor_torque is None else limits.motor_torque
     return replace(
         blank,
         limits=replace(
             limits,
-            motor_torque=np.maximum(torque - FRICTION * press.rated, 0.0),
+            motor_torque=np.maximum(torque - FRICTION_SHARE * press.rated, 0.0),
             force=max((limits.force or 0.0) - force, 0.0),
             moment=max((limits.moment or 0.0) - moment, 0.0),
         ),
@@ -240,24 +276,21 @@ def _choices(
     press: Press,
     time: float,
 ) -> list[list[int]]:
-    """The best sweeps in one, two and three clampings that fit into the time; empty where not one does."""
-    factors = [factor(matrix * bench.scale) for matrix in informations]
-    table = np.zeros((len(factors), len(bench.size), max(f.shape[1] for f in factors)))
-    for k, f in enumerate(factors):
-        table[k, :, : f.shape[1]] = f
+    """Indices of the best sweeps in one, two and three clampings; only those that fit into ``time``, s."""
+    factors = factors_of([matrix * bench.scale for matrix in informations])
     cost = np.array([cost_of(sweep) for sweep in sweeps])
     out = []
     for clampings, taken in _clamped_in_turn(bench, sweeps, informations):
         budget = time - clampings * press.clamping_time
         if budget <= 0:
             break
-        first = _each_once(sweeps, table, bench.prior, taken, driven)
+        first = _each_once(sweeps, factors, bench.prior, taken, driven)
         if first is None or cost[first].sum() > budget:
             continue
         inside = np.array(taken)
         start = [taken.index(k) for k in first]
         picked = greedy(
-            table[inside], bench.prior, count=MOST_SWEEPS, cost=cost[inside], budget=budget, start=start, repeat=True
+            factors[inside], bench.prior, count=MAX_SWEEPS, cost=cost[inside], budget=budget, start=start, repeat=True
         )
         out.append([int(inside[k]) for k in picked])
     return out
@@ -266,14 +299,14 @@ def _choices(
 def _clamped_in_turn(
     bench: ClampingBench, sweeps: list[Sweep], informations: list[Array]
 ) -> Iterator[tuple[int, list[int]]]:
-    """One, two and three clampings, and the sweeps that may be made in them."""
+    """One, two and three clampings, each with the indices of all sweeps that can be made in them."""
     groups: dict[tuple[float, ...], list[int]] = {}
     for k, sweep in enumerate(sweeps):
         groups.setdefault(tuple(sweep.posture), []).append(k)
     taken: list[int] = []
-    for clampings in range(1, min(MOST_CLAMPINGS, len(groups)) + 1):
+    for clampings in range(1, min(MAX_CLAMPINGS, len(groups)) + 1):
         known = bench.prior + sum((informations[k] * bench.scale for k in taken), np.zeros_like(bench.prior))
-        # Clamp where all sweeps together add most information to that of the earlier clampings.
+        # The next clamping is the one whose sweeps together add most information to that of the earlier clampings.
         best = max(groups, key=lambda g: log_det(known + sum(informations[k] * bench.scale for k in groups[g])))
         taken = [*taken, *groups.pop(best)]
         yield clampings, taken
@@ -287,7 +320,7 @@ def _too_short(
     press: Press,
     time: float,
 ) -> str:
-    """Why no sweeps fit into the time: how many clampings it takes to drive each joint once, and how long."""
+    """The message of an error: number of clampings, and time, s, that it takes to drive each joint once."""
     for clampings, taken in _clamped_in_turn(bench, sweeps, informations):
         able = {sweeps[k].joint: cost_of(sweeps[k]) for k in taken}
         if set(driven) <= able.keys():
@@ -295,27 +328,30 @@ def _too_short(
             many = "one clamping" if clampings == 1 else f"{clampings} clampings"
             return f"time: expected at least {need:.0f} s, for {many} and a sweep of each joint, found {time:g} s"
     return (
-        f"expected at most {MOST_CLAMPINGS} postures in which every joint may be driven within the limits, found none; "
+        f"expected at most {MAX_CLAMPINGS} postures in which every joint may be driven within the limits, found none; "
         "less amplitude or a stronger clamp would do"
     )
 
 
 def _each_once(
-    sweeps: list[Sweep], table: Array, prior: Array, among: list[int], driven: Sequence[int]
+    sweeps: list[Sweep], factors: Array, prior: Array, among: list[int], driven: Sequence[int]
 ) -> list[int] | None:
-    """One sweep of each joint, the most informative one; None where a joint may not be driven in any posture."""
+    """Indices of the most informative sweep of each joint; None if a joint cannot be driven in any posture."""
     first = []
     for joint in driven:
         able = [k for k in among if sweeps[k].joint == joint]
         if not able:
             return None
-        gain = [log_det(prior + table[k] @ table[k].T) for k in able]
+        gain = [log_det(prior + factors[k] @ factors[k].T) for k in able]
         first.append(able[int(np.argmax(gain))])
     return first
 
 
-def in_order(sweeps: Sequence[Sweep]) -> list[Sweep]:
-    """Clamping by clamping, in each the sweeps that load the clamp least first: if it slips, little is spoilt."""
-    places = list(dict.fromkeys(tuple(sweep.posture) for sweep in sweeps))
-    numbered = [replace(sweep, clamping=places.index(tuple(sweep.posture)) + 1) for sweep in sweeps]
+def clamping_order(sweeps: Sequence[Sweep]) -> list[Sweep]:
+    """The sweeps with numbers of their clampings, in order of clampings and then of the wrench on the clamp.
+
+    The sweeps with the largest wrench come last: if the clamp slips, most sweeps have been measured.
+    """
+    postures = list(dict.fromkeys(tuple(sweep.posture) for sweep in sweeps))
+    numbered = [replace(sweep, clamping=postures.index(tuple(sweep.posture)) + 1) for sweep in sweeps]
     return sorted(numbered, key=lambda s: (s.clamping, float(s.force.max() + s.moment.max()), s.joint))

@@ -1,4 +1,4 @@
-"""Expected results of planned sweeps of a clamped arm: the information on springs, clearances and friction."""
+"""Information of planned sweeps of a clamped arm on springs, clearances and friction."""
 
 from __future__ import annotations
 
@@ -27,11 +27,37 @@ from experiments.plans.press import holding_torque
 __all__ = ["PAUSE_S", "ClampingBench", "cost_of", "duration_of"]
 
 PAUSE_S = 20.0  # between sweeps
-SWEEPS_AT_ONCE = 6  # sweeps worked out at once: each has unknowns of its own
+SWEEPS_AT_ONCE = 6  # in one evaluation: each sweep adds unknown constants, and so columns, to all rows
 
 
 class ClampingBench:
-    """Finds the information of sweeps on a set of parameters."""
+    """Computes the information of sweeps on a set of parameters.
+
+    Parameters
+    ----------
+    cell
+        Robot, gravity and tool.
+    noise
+        Noise of the torques.
+    press
+        How hard to press, with the described springs.
+    wanted
+        Effects to identify, ``effect`` or ``effect@joint3``.
+
+    Attributes
+    ----------
+    size, scale
+        Reasonable sizes of the parameters ``(P,)``, SI, and their products ``(P, P)``.
+    prior
+        Precision of the prior ``(P, P)``, in units of reasonable sizes.
+
+    Raises
+    ------
+    PlanError
+        An effect does not act in clamped sweeps, or springs are not among them.
+    EffectError
+        An effect is unknown.
+    """
 
     def __init__(self, cell: Cell, noise: TorqueNoise, press: Press, wanted: Sequence[str]) -> None:
         self.cell, self.noise, self.press = cell, noise, press
@@ -54,7 +80,7 @@ class ClampingBench:
         self.prior = prior_precision(self.problem) * self.scale
 
     def _table(self, sweeps: Sequence[Sweep]) -> pd.DataFrame:
-        """Sweeps as a campaign has them, with the torques of springs as described."""
+        """Sweeps as a table of a campaign, with the torques of the described springs."""
         robot, n = self.cell.robot, self.cell.robot.n
         T = np.asarray(robot.transmission)
         parts = []
@@ -70,17 +96,19 @@ class ClampingBench:
         return pd.concat(parts, ignore_index=True)
 
     def _load(self, posture: Array) -> Array:
+        """Joint torques ``(n,)``, Nm, that hold the arm and its tool."""
         cell = self.cell
         return holding_torque(cell.robot, posture, cell.gravity, cell.tool_mass, cell.tool_com)
 
     def evaluate(self, sweeps: Sequence[Sweep]) -> list[Array]:
-        """Information ``(P, P)``, SI, of each sweep, its own unknown posture taken off."""
+        """Information ``(P, P)``, SI, of each sweep, with its unknown clamped posture eliminated."""
         out: list[Array] = []
         for start in range(0, len(sweeps), SWEEPS_AT_ONCE):
             out += self._evaluate(sweeps[start : start + SWEEPS_AT_ONCE])
         return out
 
     def _evaluate(self, sweeps: Sequence[Sweep]) -> list[Array]:
+        """The information of a few sweeps, computed together."""
         rows = clamped_rows([imagined(self.cell, clamped=self._table(sweeps))], self.layout)
         ratio = np.abs(np.diag(np.asarray(self.cell.robot.transmission)))
         soft = np.tile(GAP_SOFTNESS * self.noise.sigma / ratio, (len(rows), 1))
@@ -103,7 +131,7 @@ class ClampingBench:
         return out
 
     def _theta(self, rows: Rows, sweeps: Sequence[Sweep]) -> Array:
-        """Springs as described, everything else as usual, and the posture at which each sweep was clamped."""
+        """Parameters ``(P + K,)``: springs as described, usual values, and the clamped posture of each sweep."""
         theta = np.zeros(len(self.slots) + rows.offsets)
         start = self.problem.start()
         for k, slot in enumerate(self.slots):
@@ -121,10 +149,10 @@ class ClampingBench:
 
 
 def cost_of(sweep: Sweep) -> float:
-    """Seconds that a sweep takes, with the pause after it."""
+    """Duration of a sweep with the pause after it, s."""
     return len(sweep.offset) * sweep.dwell + PAUSE_S
 
 
 def duration_of(sweeps: Sequence[Sweep], press: Press) -> float:
-    """Seconds that all sweeps take, with the clampings."""
+    """Duration of all sweeps with the clampings, s."""
     return max(s.clamping for s in sweeps) * press.clamping_time + sum(map(cost_of, sweeps))

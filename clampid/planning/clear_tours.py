@@ -1,4 +1,4 @@
-"""Orders of poses that take little time, on ways that touch nothing."""
+"""Short tours through poses by moves that are clear of obstacles."""
 
 from __future__ import annotations
 
@@ -17,36 +17,49 @@ from experiments.plans.validate import visit_course
 
 __all__ = ["ClearTours"]
 
-FORBIDDEN_TIME = 1e4  # s, of a way that touches something
+FORBIDDEN_TIME = 1e4  # s: cost of a move that touches something
 
 Ends = frozenset[tuple[float, ...]]
-"""The two configurations between which a way leads."""
+"""The two configurations, rad, between which a move leads, in either direction."""
 
 
 class ClearTours:
-    """Tours among configurations, and the ways between these that have been looked at."""
+    """Search for tours through configurations; results of collision checks are kept."""
 
     def __init__(self, cell: Cell, limits: Limits, scene: Scene) -> None:
         self.cell, self.limits, self.scene = cell, limits, scene
-        self._ways: dict[Ends, bool] = {}
+        self._clear_moves: dict[Ends, bool] = {}
 
     def order(self, q: Array, before: Array | None) -> tuple[Integers, tuple[str, ...]]:
-        """An order of configurations ``(N, n)``, rad, from ``before`` ``(n,)`` on, and what has to be said of it.
+        """A short tour through configurations by clear moves.
+
+        Parameters
+        ----------
+        q
+            ``(N, n)``, rad.
+        before
+            Configuration ``(n,)`` from which the tour starts; None: at the best of ``q``.
+
+        Returns
+        -------
+        order, said
+            Indices of the configurations that can be reached, in the order of the tour; a sentence for people if some
+            cannot be reached.
 
         Raises
         ------
         PlanError
-            More than half of the poses have no clear way to them.
+            More than half of the configurations cannot be reached by clear moves.
         """
         places = q if before is None else np.vstack([before, q])
         cost, first = self._times(places), before is not None
         kept = np.arange(len(places))
         while len(kept) > 1:
             order = kept[short_tour(cost[np.ix_(kept, kept)], 0, fixed=first)]
-            legs = [(a, b) for a, b in pairwise(order.tolist()) if not self._way_clear(places[a], places[b])]
+            legs = [(a, b) for a, b in pairwise(order.tolist()) if not self._is_clear(places[a], places[b])]
             if not legs:
                 break
-            stuck = [b for a, b in legs if cost[a, b] >= FORBIDDEN_TIME]  # no way round it was found
+            stuck = [b for a, b in legs if cost[a, b] >= FORBIDDEN_TIME]  # in the tour though known to be blocked
             if stuck:
                 kept = np.setdiff1d(kept, max(stuck, key=lambda k: int((cost[k] >= FORBIDDEN_TIME).sum())))
             for a, b in legs:
@@ -61,7 +74,7 @@ class ClearTours:
         return np.asarray(order[1:] - 1 if first else order), said
 
     def touching(self, visits: Sequence[Visit]) -> tuple[Ends, ...]:
-        """The ways between poses that would touch something as they are driven, by way of the approach."""
+        """The moves between consecutive visits that touch something as they are driven, with the last short moves."""
         found, before = [], None
         for visit in visits:
             knots = visit_course(visit, before).knots
@@ -70,19 +83,19 @@ class ClearTours:
             before = visit.q
         return tuple(found)
 
-    def forbid(self, ways: Iterable[Ends]) -> None:
-        """Take ways as touching something from now on."""
-        self._ways |= dict.fromkeys(ways, False)
+    def forbid(self, moves: Iterable[Ends]) -> None:
+        """Treat some moves as touching something from now on."""
+        self._clear_moves |= dict.fromkeys(moves, False)
 
-    def _way_clear(self, a: Array, b: Array) -> bool:
-        """Whether the move between two places ``(n,)`` is clear; looked at once."""
+    def _is_clear(self, a: Array, b: Array) -> bool:
+        """Whether the move between two configurations ``(n,)``, rad, is clear; each move is checked once."""
         ends = _ends(a, b)
-        if ends not in self._ways:
-            self._ways[ends] = self.scene.way_clear(a, b)
-        return self._ways[ends]
+        if ends not in self._clear_moves:
+            self._clear_moves[ends] = self.scene.way_clear(a, b)
+        return self._clear_moves[ends]
 
     def _times(self, q: Array) -> Array:
-        """Times of the moves between configurations ``(N, N)``, s."""
+        """Times ``(N, N)``, s, of the moves between configurations ``q`` ``(N, n)``, rad."""
         N = len(q)
         out = np.zeros((N, N))
         for i in range(N - 1):
@@ -94,4 +107,5 @@ class ClearTours:
 
 
 def _ends(a: Array, b: Array) -> Ends:
+    """The key of the move between two configurations ``(n,)``, in either direction."""
     return frozenset((tuple(a.tolist()), tuple(b.tolist())))

@@ -1,4 +1,4 @@
-"""How well the directions of approach of planned visits are balanced: apart from posture and time, and in number."""
+"""Balance of the approach directions of planned visits: in number, and against posture and order."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ __all__ = ["Balance", "balance_of"]
 
 @dataclass(frozen=True)
 class Balance:
-    """How the poses of a plan are approached.
+    """Approach directions of the poses of a plan.
 
     Attributes
     ----------
     plus, minus
-        ``(n,)``: visits to which each joint comes upwards and downwards.
+        Number of visits that each joint approaches towards larger and smaller angles ``(n,)``.
     confounded
-        ``(n,)``: share of a joint's directions that posture and order explain, 0 … 1.
+        Share of the variance of each joint's directions that posture and order explain ``(n,)``, 0 … 1.
     """
 
     plus: Array
@@ -31,7 +31,7 @@ class Balance:
 
     @property
     def words(self) -> str:
-        """For people."""
+        """Two sentences for people."""
         each = list(dict.fromkeys(f"{a}/{b}" for a, b in zip(self.plus, self.minus, strict=True)))
         visits = (
             f"{each[0]} for every joint"
@@ -46,12 +46,12 @@ class Balance:
         )
 
     def to_json(self) -> dict[str, list[float]]:
-        """For programs."""
+        """The numbers for JSON."""
         return {"up": self.plus.tolist(), "down": self.minus.tolist(), "confounded": self.confounded.tolist()}
 
 
 def balance_of(plan: Plan) -> Balance:
-    """How a plan's visits of the table poses are approached."""
+    """The balance of a plan's visits that belong to the table ``poses``."""
     visits = [v for v in plan.visits if v.table == "poses"]
     signs, q = np.array([v.direction for v in visits]), np.array([v.q for v in visits])
     return Balance((signs > 0).sum(axis=0), (signs < 0).sum(axis=0), confounded(signs, covariates_of(q)))

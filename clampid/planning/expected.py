@@ -1,4 +1,4 @@
-"""Expected results of a set of measurements: standard errors, observability, and what stays unidentified."""
+"""Expected results of planned measurements: standard errors, observability, unidentifiable combinations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["expected_of", "predicted_covariance", "prior_precision"]
 
 
 def prior_precision(problem: FitProblem) -> Array:
-    """What a fit of these slots knows before any row ``(P, P)``: the weak prior, and the description's masses."""
+    """Precision ``(P, P)``, SI, of a fit's prior: each slot's weak prior, and the description's masses."""
     count = len(problem.slots)
     precision = np.diag(1.0 / problem.prior_std()[:count] ** 2)
     index = {slot: k for k, slot in enumerate(problem.slots)}
@@ -31,7 +31,7 @@ def prior_precision(problem: FitProblem) -> Array:
 
 
 def predicted_covariance(information: Array, precision: Array, size: Array) -> Array:
-    """Covariance ``(P, P)``, SI, from information and prior ``(P, P)``; ``size`` ``(P,)`` scales the inversion."""
+    """Covariance ``(P, P)``, SI, from information and prior precision ``(P, P)``; ``size`` ``(P,)`` balances it."""
     scaled = (information + precision) * np.outer(size, size)
     return np.asarray(linalg.pinvh(scaled) * np.outer(size, size))
 
@@ -39,20 +39,20 @@ def predicted_covariance(information: Array, precision: Array, size: Array) -> A
 def expected_of(
     problem: FitProblem, information: Array, rows: int, noise: str, extra: tuple[str, ...] = ()
 ) -> Expected:
-    """What the plan says of itself.
+    """The expected results that a plan states.
 
     Parameters
     ----------
     problem
-        Any rows of the plan, with its slots.
+        A problem with any rows of the plan and all its slots.
     information
-        ``(P, P)`` of all planned rows, SI, single runs' unknown constants already taken off.
+        Information ``(P, P)`` of all planned rows, SI, with unknown constants of single runs eliminated.
     rows
         Number of measured values.
     noise
-        The noise that was assumed, in words.
+        The assumed noise, in words.
     extra
-        Further sentences on what stays open.
+        Further sentences on what is not identifiable.
     """
     count = len(problem.slots)
     size = problem.sizes()[:count]
@@ -70,7 +70,7 @@ def expected_of(
 
 
 def _estimate(problem: FitProblem, information: Array, covariance: Array, precision: Array) -> Estimate:
-    """The estimate that rows with this information would give, for those who word what an estimate leaves open."""
+    """An estimate with this information, so that its null directions are worded as for a fit."""
     values, vectors = np.linalg.eigh(information)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
     count = len(information)

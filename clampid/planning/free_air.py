@@ -1,8 +1,8 @@
-"""Plans free air: configurations visited at several speeds, so that gravity and friction are known best for the time.
+"""Plans of free-air logs: a path at several speeds that carries most information on gravity and friction for its time.
 
-Information comes from the moves, so that what a configuration is worth depends on where the arm comes from. The path
-is grown stop by stop, each time with the candidate that gains most determinant per second, and then improved by
-exchanging stops for others.
+Information comes from the moves, so the gain of a configuration depends on the one before it. The path is extended stop
+by stop, each time by the candidate with the largest gain of log-determinant per second. Then stops are exchanged for
+others while the determinant grows.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from clampid.catalogue import catalogue
 from clampid.planning.choose import log_det
 from clampid.planning.expected import prior_precision
 from clampid.planning.logs import LogBench, TorqueNoise
-from clampid.planning.program import LogWishes, finished_program
+from clampid.planning.program import LogWishes, plan_of_runs
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from clampid.stages.rows import Array
@@ -29,10 +29,10 @@ from experiments.plans.motion import Course
 __all__ = ["plan_free_air"]
 
 CANDIDATE_STOPS = 400
-STOPS_TRIED = 16  # candidates looked at for the next stop
-EXCHANGES_TRIED = 4  # candidates looked at in an exchange
+STOPS_TRIED = 16  # candidates evaluated for each further stop
+EXCHANGES_TRIED = 4  # candidates evaluated in an exchange
 EXCHANGE_PASSES = 1
-MIN_STOPS = 4  # stops: fewer do not make a program
+MIN_STOPS = 4
 
 
 @single_threaded
@@ -50,18 +50,20 @@ def plan_free_air(
     Parameters
     ----------
     cell, limits, noise
-        What it is for.
+        The cell, its limits, and the noise of the torques.
     wished
-        Which program is wanted.
+        Time, speeds, effects and rate that are wanted.
     scene
-        What the arm must not touch; only the floor by default.
+        Obstacles; by default the floor only.
     assumed
-        What had to be assumed so far, for the plan.
+        Assumptions made so far, in words, for the plan.
 
     Raises
     ------
     PlanError
-        A number is out of range, the time is too short, or the limits allow nothing.
+        A number is out of range, the time is too short, or the limits allow no move.
+    EffectError
+        An effect is unknown.
     """
     wished = wished or LogWishes()
     wished.check()
@@ -74,11 +76,11 @@ def plan_free_air(
     search.improve()
     runs = tuple(Run(course, share) for course, share in zip(search.courses(search.knots), wished.speeds, strict=True))
     record = wished.record(effects)
-    return finished_program("free_air", limits, bench, runs, record, assumed=(*assumed, *around.assumed))
+    return plan_of_runs("free_air", limits, bench, runs, record, assumed=(*assumed, *around.assumed))
 
 
 class _Search:
-    """A path that grows and is improved; all its runs go through the same stops."""
+    """Search for the path; all its runs go through the same stops."""
 
     def __init__(
         self, cell: Cell, limits: Limits, bench: LogBench, scene: Scene, pool: Array, wished: LogWishes
@@ -94,14 +96,14 @@ class _Search:
         self.spent = len(self.speeds) * self.dwell
 
     def courses(self, knots: Sequence[Array]) -> list[Course]:
-        """The path at every speed."""
+        """The path through stops ``knots`` ``(n,)``, rad, as a course for each speed."""
         return [
             course_of(self.cell.robot, self.limits, np.array(knots), speed_share=s, dwell=self.dwell)
             for s in self.speeds
         ]
 
-    def _value(self, paths: Sequence[Sequence[Array]]) -> tuple[list[Array], Array]:
-        """Scaled information of the moves of each path (all speeds), ``(moves, P, P)`` each, and the times, s."""
+    def _evaluate(self, paths: Sequence[Sequence[Array]]) -> tuple[list[Array], Array]:
+        """For each path the scaled information of its moves at all speeds ``(moves, P, P)``, and the time, s."""
         courses = [course for path in paths for course in self.courses(path)]
         informations = self.bench.evaluate(courses)
         size, many = self.bench.size, len(self.speeds)
@@ -112,8 +114,8 @@ class _Search:
             cost[p] = sum(c.length - self.dwell for c in courses[mine])  # the first stop is the last one's
         return out, cost
 
-    def _looked_at(self, count: int, *neighbours: Array) -> list[Array]:
-        """Random candidates that can be reached from all neighbours without touching anything."""
+    def _reachable_stops(self, count: int, *neighbours: Array) -> list[Array]:
+        """Up to ``count`` random candidates with clear moves to all neighbours ``(n,)``, rad."""
         found = []
         for k in self.rng.permutation(len(self.pool)):
             q = self.pool[k]
@@ -126,12 +128,18 @@ class _Search:
         return found
 
     def grow(self) -> None:
-        """Add stops while there is time."""
+        """Add stops while there is time.
+
+        Raises
+        ------
+        PlanError
+            There is time for too few stops.
+        """
         while True:
-            options = self._looked_at(STOPS_TRIED, self.knots[-1])
+            options = self._reachable_stops(STOPS_TRIED, self.knots[-1])
             if not options:
                 break
-            informations, cost = self._value([[self.knots[-1], q] for q in options])
+            informations, cost = self._evaluate([[self.knots[-1], q] for q in options])
             fits = cost <= self.budget - self.spent
             if not fits.any():
                 break
@@ -154,7 +162,7 @@ class _Search:
             )
 
     def improve(self) -> None:
-        """Exchange stops for others as long as the determinant grows and the time is kept."""
+        """Exchange stops for others while the determinant grows, within the time budget."""
         for _ in range(EXCHANGE_PASSES):
             moved = False
             for k in range(1, len(self.knots)):
@@ -163,12 +171,13 @@ class _Search:
                 break
 
     def _exchange(self, k: int) -> bool:
+        """Exchange stop ``k`` for the best of a few candidates; whether it was exchanged."""
         before = self.knots[k - 1]
         after = self.knots[k + 1 : k + 2]
-        options = self._looked_at(EXCHANGES_TRIED, before, *after)
+        options = self._reachable_stops(EXCHANGES_TRIED, before, *after)
         if not options:
             return False
-        informations, cost = self._value([[before, q, *after] for q in (self.knots[k], *options)])
+        informations, cost = self._evaluate([[before, q, *after] for q in (self.knots[k], *options)])
         old = informations[0].sum(axis=0)
         value = np.array([log_det(self.information - old + t.sum(axis=0)) for t in informations])
         value[cost - cost[0] > self.budget - self.spent] = -np.inf

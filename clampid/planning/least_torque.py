@@ -1,4 +1,4 @@
-"""How a clamping plan searches for the posture of least torque: steps and bounds from the springs of the drives."""
+"""Steps and bounds of a clamping plan's search for the posture of least torque, from the springs of the drives."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from clampid.planning.press import Press
 from experiments.plans.model import LeastTorque
 from kinematics.description import RobotDescription
 
-__all__ = ["STEP_TORQUE_SHARE", "WITHIN", "search_for"]
+__all__ = ["LARGEST_TORQUE_SHARE", "STEP_TORQUE_SHARE", "search_for"]
 
-STEP_TORQUE_SHARE = 0.01  # of the rated torque, by which one step winds a drive's spring up
-WITHIN = 0.25  # of it: a clamp that presses more into a drive was not closed well
+STEP_TORQUE_SHARE = 0.01  # of the rated torque: spring torque of one step
+LARGEST_TORQUE_SHARE = 0.25  # of the rated torque: a clamp that loads a drive more was not closed well
 
 
 def search_for(robot: RobotDescription, press: Press) -> LeastTorque:
-    """Steps and bounds at the joints ``(n,)``, rad, from springs as described."""
+    """Steps and bounds at the joints ``(n,)``, rad, from the described springs."""
     turn = np.abs(np.diag(np.linalg.inv(np.asarray(robot.transmission))))
     at_rated = press.rated / (press.stiffness * turn)
-    return LeastTorque(STEP_TORQUE_SHARE * at_rated, WITHIN * at_rated)
+    return LeastTorque(STEP_TORQUE_SHARE * at_rated, LARGEST_TORQUE_SHARE * at_rated)

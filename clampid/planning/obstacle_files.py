@@ -1,4 +1,4 @@
-"""Files that say what stands around a robot: obstacles alone, or the cell file that `ik` and `serve` read."""
+"""Files of obstacles around a robot, in TOML."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from kinematics.section import Section
 
 __all__ = ["read_obstacles"]
 
-MOST_TURNED = 4.0 * np.pi  # rad: beyond, degrees
+LARGEST_TURN = 4.0 * np.pi  # rad: a larger angle was probably meant in degrees
 KINDS: tuple[ObstacleShape, ...] = ("box", "sphere", "cylinder")
 
 
 def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
     """Read obstacles from TOML: tables ``[[box]]``, ``[[sphere]]``, ``[[cylinder]]``, base frame, m and rad.
 
-    Each has ``centre_m``; a box ``size_m`` (three edges), the others ``radius_m``, a cylinder ``length_m``; optional
-    ``name``, and ``turn_rad``, a rotation vector.
+    Each obstacle has ``centre_m``. A box has ``size_m`` (three edges), a sphere ``radius_m``, a cylinder ``radius_m``
+    and ``length_m``. ``name`` and ``turn_rad``, a rotation vector, are optional.
 
     Raises
     ------
     PlanError
-        The file is missing, no TOML, or a key is missing, unknown or wrong.
+        The file is missing or not TOML, or a key is missing, unknown or wrong.
     """
     if not path.is_file():
         raise PlanError(f"{path}: expected a file of obstacles, found no such file")
@@ -46,7 +46,7 @@ def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
             if kind == "cylinder":
                 size = (*size, one.number("length_m", 0.0, FARTHEST_OBSTACLE, "m", above=True))
             pose = np.eye(4)
-            pose[:3, :3] = exp_so3(one.vector("turn_rad", 3, -MOST_TURNED, MOST_TURNED, "rad", np.zeros(3)))
+            pose[:3, :3] = exp_so3(one.vector("turn_rad", 3, -LARGEST_TURN, LARGEST_TURN, "rad", np.zeros(3)))
             pose[:3, 3] = one.vector("centre_m", 3, -FARTHEST_OBSTACLE, FARTHEST_OBSTACLE, "m")
             found.append(Obstacle(one.text("name", default=f"{kind} {number}"), kind, size, pose))
             one.done()

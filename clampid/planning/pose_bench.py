@@ -1,4 +1,4 @@
-"""Expected results of planned poses: the Jacobian of every visit, and where its tracked points are."""
+"""Information of planned poses on the parameters, and the positions of their tracked points."""
 
 from __future__ import annotations
 
@@ -24,16 +24,23 @@ __all__ = ["PoseBench"]
 
 
 class PoseBench:
-    """Finds the information of visits on a set of parameters.
+    """Computes the information of visits on a set of parameters.
 
     Parameters
     ----------
     cell
         Robot, targets, instrument, gravity and tool.
     effects
-        What is asked, ``effect`` or ``effect@joint3``; the stage's standard set otherwise.
+        Effects to identify, ``effect`` or ``effect@joint3``; None: the standard set of the stage.
     station
-        ``(3,)`` m, base frame: where the instrument stands.
+        Position of the instrument ``(3,)``, m, base frame.
+
+    Attributes
+    ----------
+    size
+        Reasonable sizes of the parameters ``(P,)``, SI.
+    prior
+        Precision of the prior ``(P, P)``, in units of reasonable sizes.
 
     Raises
     ------
@@ -61,24 +68,25 @@ class PoseBench:
         self.prior: Array = prior_precision(self.problem) * np.outer(self.size, self.size)
 
     def points(self, q: Array) -> tuple[Array, Array]:
-        """Tracked points ``(N, t, 3)``, m, and flange rotations ``(N, 3, 3)``, base frame, at q ``(N, n)``, rad."""
+        """Tracked points ``(N, t, 3)``, m, and flange rotations ``(N, 3, 3)``, base frame, at ``q`` ``(N, n)``, rad."""
         robot = self.cell.robot
         pose = forward(robot.screws, robot.flange, q @ np.asarray(robot.linkage).T)
         target = np.array(list(self.cell.targets.values()))
         return np.einsum("nij,tj->nti", pose[:, :3, :3], target) + pose[:, None, :3, 3], pose[:, :3, :3]
 
     def rows(self, q: Array, direction: Array) -> Rows:
-        """Rows of visits at q ``(N, n)``, rad, approached along ``direction`` ``(N, n)``: all targets of each."""
+        """Rows of all targets of visits at ``q`` ``(N, n)``, rad, with approach signs ``direction`` ``(N, n)``."""
         return pose_rows([imagined(self.cell, poses=self._table(q, direction))], self.layout, "poses", self._base)
 
     def factors(self, q: Array, direction: Array) -> Array:
-        """Information factor ``(N, P, 3 t)`` of each visit: transposed whitened Jacobian per usual parameter size."""
+        """Factor F ``(N, P, 3 t)`` of each visit's information F Fᵀ: transposed whitened Jacobian, scaled by size."""
         rows = self.rows(q, direction)
         _, jacobian = self.problem.with_rows(rows).residual(self.problem.start())
         white = jacobian[:, :3] / rows.sigma[:, :3, None] * self.size
         return np.asarray(np.swapaxes(white.reshape(len(q), -1, len(self.size)), 1, 2))
 
     def _table(self, q: Array, direction: Array) -> pd.DataFrame:
+        """Visits as a table ``poses`` of a campaign, with points of the nominal robot."""
         names = list(self.cell.targets)
         N, t = len(q), len(names)
         each = np.repeat(np.arange(N), t)
@@ -92,6 +100,7 @@ class PoseBench:
 
 
 def _shift(vector: Array) -> Array:
+    """Translation ``(4, 4)`` by a vector ``(3,)``."""
     out = np.eye(4)
     out[:3, 3] = vector
     return out

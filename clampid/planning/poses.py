@@ -1,8 +1,9 @@
-"""Plans poses to measure: targets in sight, chosen for their information, in an order that takes little time.
+"""Plans of poses to measure: visible, informative, with balanced approach directions, in a short tour.
 
-Among configurations that are in the region, in sight and clear of obstacles, some are chosen far apart in joint space,
-so that effects nobody asked about show. The others maximise the determinant of the information (D-optimal). Every pose
-is approached by a short move whose signs are balanced, so that backlash can be distinguished from posture.
+Candidates are configurations in the region, in sight of the instrument and clear of obstacles. Some poses are chosen
+far apart in joint space, so that effects outside the wanted set become visible. The others maximise the determinant of
+the information (D-optimal). Every pose is approached by a short move. The signs of these moves are balanced, so that
+backlash is not confounded with posture.
 """
 
 from __future__ import annotations
@@ -34,41 +35,41 @@ from experiments.plans.validate import validate_plan
 __all__ = ["PoseWishes", "plan_poses"]
 
 
-MOST_POSES = 5000  # at 10 s each half a day; their candidates take a gigabyte
-CANDIDATES_PER_POSE = 20  # candidates for each pose
-FEWEST_CANDIDATES = 200
-SIDES = 32  # of a pose that are tried
-STARTS = 80  # configurations from which each place of the grid is looked for
-MOST_TOURS = 50  # that are tried until every move by way of the approaches is clear
-RETURNS = (-1.0, 1.0, -1.0)  # of a replicate: from the other side, from the same, from the other
+MAX_POSES = 5000  # half a day at 10 s each; their candidates take a gigabyte
+CANDIDATES_PER_POSE = 20
+MIN_CANDIDATES = 200
+SIGNS_TRIED = 32  # patterns of approach signs tried for each pose
+IK_STARTS = 80  # configurations from which the inverse kinematics of each verification place is started
+MAX_TOURS = 50  # tours tried until every move, with the approaches, is clear
+REPLICATE_SIGNS = (-1.0, 1.0, -1.0)  # further visits of a replicate: from the opposite side, the same, the opposite
 
 
 @dataclass(frozen=True)
 class PoseWishes:
-    """What poses are wanted.
+    """The wishes for a plan of poses.
 
     Attributes
     ----------
     poses
-        How many.
+        Number of poses to fit.
     replicates
-        How many of them are visited three times more, twice from the other side.
+        Number of these that are visited three times more, twice from the opposite side.
     verification
-        How many more are measured for verification only.
+        Number of further poses for verification only.
     effects
-        What is asked; None: the stage's standard set.
+        Effects to identify; None: the standard set of the stage.
     region
-        Where all tracked points shall be; None: anywhere.
+        Region of all tracked points; None: anywhere.
     sight
-        What the instrument sees; None: everything.
+        Line of sight of the instrument; None: it sees everything.
     part
-        Where the verification poses shall be, the flange's z axis towards the centre; None: like the others.
+        Part of a sphere with the verification poses, the flange's z axis towards its centre; None: like the others.
     spread
-        Share of the poses that is taken for being far apart.
+        Share of the poses chosen to be far apart in joint space.
     approach
-        rad (m): how far every joint moves to approach a pose from its side.
+        Angle (travel) of every joint in the last move to a pose, rad (m).
     measure_time
-        s for each tracked point.
+        Time for each tracked point, s.
     """
 
     poses: int = 60
@@ -98,15 +99,15 @@ def plan_poses(
     Parameters
     ----------
     cell, limits
-        What it is for.
+        The cell and its limits.
     wishes
-        Which poses.
+        Which poses are wanted.
     scene
-        What the arm must not touch, and what may stand in the line of sight; only the floor by default.
+        Obstacles to the arm and to the line of sight; by default the floor only.
     seed
-        Of the candidates.
+        Seed of the candidates.
     assumed
-        What had to be assumed so far, for the plan.
+        Assumptions made so far, in words, for the plan.
 
     Raises
     ------
@@ -121,13 +122,14 @@ def plan_poses(
 
 
 def _check(wishes: PoseWishes) -> None:
+    """Raise :class:`PlanError` for numbers that no plan can have."""
     for name, value, least in (
         ("poses", wishes.poses, 2),
         ("replicates", wishes.replicates, 0),
         ("verification poses", wishes.verification, 0),
     ):
-        if not least <= value <= MOST_POSES:
-            raise PlanError(f"{name}: expected {least} to {MOST_POSES}, found {value}")
+        if not least <= value <= MAX_POSES:
+            raise PlanError(f"{name}: expected {least} to {MAX_POSES}, found {value}")
     if wishes.replicates > wishes.poses:
         raise PlanError(f"replicates: expected at most the {wishes.poses} poses, found {wishes.replicates}")
     if not 0.0 <= wishes.spread <= 1.0:
@@ -139,7 +141,7 @@ def _check(wishes: PoseWishes) -> None:
 
 
 class _Search:
-    """The poses, their order and their approaches, found one after the other."""
+    """Search for poses, then for their order and their approaches."""
 
     def __init__(self, cell: Cell, limits: Limits, wishes: PoseWishes, scene: Scene, seed: int) -> None:
         self.cell, self.limits, self.wishes, self.scene, self.seed = cell, limits, wishes, scene, seed
@@ -148,8 +150,8 @@ class _Search:
         self.said: tuple[str, ...] = ()
         self.tours = ClearTours(cell, limits, scene)
         self.bench = PoseBench(cell, wishes.effects, station)
-        margin = 1.5 * wishes.approach  # so that every pose can be approached from either side
-        # For joints that turn more than once, one turn is as informative as all, and the moves are shorter.
+        margin = 1.5 * wishes.approach  # leaves room to approach every pose from either side
+        # One turn of a joint that can turn more than once is as informative as all, and the moves are shorter.
         turning = np.linalg.norm(np.asarray(cell.robot.screws)[:, :3], axis=1) > 0
         middle = (limits.lower + limits.upper) / 2
         half = np.where(turning, np.minimum((limits.upper - limits.lower) / 2, np.pi), np.inf)
@@ -163,48 +165,52 @@ class _Search:
             raise PlanError(f"approach: joint {j + 1} has no room to be approached from both sides by {margin:g} rad")
 
     def plan(self, assumed: tuple[str, ...]) -> Plan:
+        """The plan; tours are searched until every move, with the approaches, is clear."""
         pool = self._pool()
         picked = self._choose(pool)
-        for _ in range(MOST_TOURS):
+        for _ in range(MAX_TOURS):
             visits, words = self._ordered(pool, picked)
             touching = self.tours.touching(visits)
             if not touching:
                 return self._finished(visits, (*assumed, *self.scene.assumed, *words))
             self.tours.forbid(touching)
         raise PlanError(
-            f"expected moves clear of floor, arm and obstacles by way of the approaches, found none in {MOST_TOURS} "
+            f"expected moves clear of floor, arm and obstacles by way of the approaches, found none in {MAX_TOURS} "
             "orders of the poses; expected fewer obstacles or a shorter approach"
         )
 
     def _ordered(self, pool: Array, picked: list[int]) -> tuple[list[Visit], tuple[str, ...]]:
-        """Visits of the picked poses and of those for verification, and what has to be said of them."""
+        """Visits of the picked poses and of those for verification, and sentences for people."""
         self.said = ()
         q = pool[picked]
-        q = q[self._toured(q, None)]
-        again = self._replicates(q)
-        signs = self._approached(q, again)
+        q = q[self._short_tour(q, None)]
+        replicated = self._replicates(q)
+        signs = self._approach_signs(q, replicated)
         visits = self._visits("poses", q, signs, np.arange(len(q)), [1] * len(q))
-        for number, side in enumerate(RETURNS, 2) if len(again) else ():
-            order = again[::-1] if number % 2 else again
+        for number, side in enumerate(REPLICATE_SIGNS, 2) if len(replicated) else ():
+            order = replicated[::-1] if number % 2 else replicated
             visits += self._visits("poses", q, side * signs, order, [number] * len(order), visits[-1].q)
         words: tuple[str, ...] = ()
         if self.wishes.verification:
             others, words = self._verification(np.delete(pool, picked, axis=0), q)
-            others = others[self._toured(others, visits[-1].q)]
-            own = self._approached(others, np.zeros(0, dtype=np.int64))
+            others = others[self._short_tour(others, visits[-1].q)]
+            own = self._approach_signs(others, np.zeros(0, dtype=np.int64))
             visits += self._visits("verification", others, own, np.arange(len(others)), [1] * len(others), visits[-1].q)
         return visits, (*self.said, *words)
 
     def allowed(self, q: Array) -> Bools:
-        """Whether configurations ``(N, n)`` are in the region, in sight and clear ``(N,)``; cheap tests first."""
+        """Whether configurations ``q`` ``(N, n)``, rad, are in the region, in sight and clear ``(N,)``."""
         points, rotation = self.bench.points(q)
         out = np.ones(len(q), dtype=bool)
         if self.wishes.region is not None:
             out &= self.wishes.region.contains(points).all(axis=1)
-        return self._seen(q, points, rotation, out)
+        return self._visible(q, points, rotation, out)
 
-    def _seen(self, q: Array, points: Array, rotation: Array, out: Bools) -> Bools:
-        """In sight and clear, of those marked ``(N,)``."""
+    def _visible(self, q: Array, points: Array, rotation: Array, out: Bools) -> Bools:
+        """Which of the configurations marked by ``out`` ``(N,)`` are in sight, clear and approachable ``(N,)``.
+
+        Quick tests come first. ``points`` ``(N, t, 3)``, m, and ``rotation`` ``(N, 3, 3)`` as of PoseBench.points.
+        """
         sight = self.wishes.sight
         if sight is not None:
             out = out & sight.sees(points, rotation)
@@ -214,12 +220,19 @@ class _Search:
             index = np.flatnonzero(out)
             out[index] &= self.scene.unhidden(q[index], points[index], sight.station)
         for i in np.flatnonzero(out):
-            out[i] = self._side(q[i]) is not None
+            out[i] = self._feasible_signs(q[i]) is not None
         return out
 
     def _pool(self) -> Array:
+        """Candidate configurations ``(c, n)``, rad.
+
+        Raises
+        ------
+        PlanError
+            There are too few.
+        """
         wishes = self.wishes
-        count = max(CANDIDATES_PER_POSE * wishes.poses, FEWEST_CANDIDATES) + wishes.verification
+        count = max(CANDIDATES_PER_POSE * wishes.poses, MIN_CANDIDATES) + wishes.verification
         where = [] if wishes.region is None else [f"with all targets in the {wishes.region.words}"]
         where += [] if wishes.sight is None else [f"seen by the {wishes.sight.words}"]
         why = ", ".join([*where, "clear of floor and obstacles"])
@@ -230,52 +243,52 @@ class _Search:
         return pool
 
     def _choose(self, pool: Array) -> list[int]:
-        """Numbers of the poses in the pool: some far apart in joint space, the others D-optimal."""
+        """Indices of the poses in the pool: some far apart in joint space, the others D-optimal."""
         wishes = self.wishes
         apart = far_apart(self._scaled(pool), round(wishes.spread * wishes.poses))
         signs = self.rng.choice([-1.0, 1.0], pool.shape)
         return choose(self.bench.factors(pool, signs), self.bench.prior, wishes.poses, start=apart, passes=2)
 
     def _scaled(self, q: Array) -> Array:
-        """Joint angles as shares of their ranges."""
+        """Joint angles ``q`` as shares of their ranges, 0 … 1."""
         return np.asarray((q - self.limits.lower) / (self.limits.upper - self.limits.lower))
 
-    def _toured(self, q: Array, before: Array | None) -> Integers:
-        """An order of configurations ``(N, n)``; see :meth:`ClearTours.order`."""
+    def _short_tour(self, q: Array, before: Array | None) -> Integers:
+        """A short tour through configurations ``(N, n)``, rad: :meth:`ClearTours.order`; its sentences are kept."""
         order, said = self.tours.order(q, before)
         self.said += said
         return order
 
-    def _approached(self, q: Array, again: Integers) -> Array:
-        """Signs ``(N, n)`` from which the poses, in this order, are approached: balanced, on ways that are clear.
+    def _approach_signs(self, q: Array, replicated: Integers) -> Array:
+        """Balanced approach signs ``(N, n)`` of poses ``q`` in the order of the tour, with clear approaches.
 
-        Those that are visited ``again`` are visited from both sides equally often, and so are balanced in themselves.
+        Poses with indices ``replicated`` are visited equally often from both sides. They are balanced in themselves.
         """
-        start = [self._side(pose) for pose in q]
-        found = [np.ones(q.shape[1]) if side is None else side for side in start]  # none is None: see _seen
-        out, once = np.array(found), np.setdiff1d(np.arange(len(q)), again)
+        start = [self._feasible_signs(pose) for pose in q]
+        found = [np.ones(q.shape[1]) if side is None else side for side in start]  # _visible has left no None
+        out, once = np.array(found), np.setdiff1d(np.arange(len(q)), replicated)
         covariates = covariates_of(q)[once]
-        out[once] = balanced(out[once], covariates, lambda k, signs: self._open(q[once[k]], signs))
+        out[once] = balanced(out[once], covariates, lambda k, signs: self._approachable(q[once[k]], signs))
         return out
 
-    def _side(self, q: Array) -> Array | None:
-        """Signs ``(n,)`` from which a pose ``(n,)`` can be approached, or None."""
+    def _feasible_signs(self, q: Array) -> Array | None:
+        """Signs ``(n,)`` with which a pose ``(n,)``, rad, can be approached; None if none is found."""
         n = len(q)
-        for number in self.rng.permutation(2 ** (n - 1))[:SIDES]:  # the opposite ones are tried with them
+        for number in self.rng.permutation(2 ** (n - 1))[:SIGNS_TRIED]:  # each is tested with its opposite
             signs = np.array([1.0 - 2.0 * (int(number) >> k & 1) for k in range(n)])
-            if self._open(q, signs):
+            if self._approachable(q, signs):
                 return np.asarray(signs * self.rng.choice([-1.0, 1.0]))
         return None
 
-    def _open(self, q: Array, signs: Array) -> bool:
-        """Whether a pose can be approached from a side and from the opposite one; the pose itself is clear."""
+    def _approachable(self, q: Array, signs: Array) -> bool:
+        """Whether a clear pose ``(n,)`` can be approached with ``signs`` ``(n,)`` and with the opposite ones."""
         step = self.wishes.approach * signs
         return self.scene.way_clear(q - step, q + step)
 
     def _replicates(self, q: Array) -> Integers:
-        """Which poses ``(r,)`` are visited again, spread over the run, in an order that takes little time.
+        """Indices of the poses to replicate ``(r,)``, spread over the tour, in the order of a short tour.
 
-        Where no way through them is clear, their neighbours in the run are tried.
+        If no tour through them is clear, their neighbours in the tour are tried.
         """
         count = min(self.wishes.replicates, len(q))
         spread = ((np.arange(count) + 0.5) * len(q) / max(count, 1)).astype(np.int64)
@@ -285,13 +298,16 @@ class _Search:
         for shift in sorted(range(-int(spread[0]), len(q) - int(spread[-1])), key=abs):
             near = spread + shift
             try:
-                return np.asarray(near[self._toured(q[near], q[-1])])
+                return np.asarray(near[self._short_tour(q[near], q[-1])])
             except PlanError as error:
                 first = first or error
         raise PlanError(str(first))
 
     def _verification(self, left: Array, chosen: Array) -> tuple[Array, tuple[str, ...]]:
-        """Poses for verification ``(v, n)``, and what has to be said of them."""
+        """Poses for verification ``(v, n)``, rad, and sentences for people.
+
+        ``left`` ``(c, n)``: candidates that were not chosen; ``chosen`` ``(N, n)``: poses to fit.
+        """
         part, count = self.wishes.part, self.wishes.verification
         if part is None:
             apart = far_apart(self._scaled(np.vstack([chosen, left])), len(chosen) + count, len(chosen))
@@ -306,25 +322,25 @@ class _Search:
         return np.array(found), (f"{count - len(found)} of {count} places of the verification grid are out of reach",)
 
     def _reaching(self, place: Array, part: SpherePart) -> list[Array]:
-        """One configuration, or none, with the middle of the targets there and the flange towards the centre."""
+        """One configuration, or none, with the targets' mean at ``place`` and the flange's z axis to the centre."""
         inner, n = self.inner, self.cell.robot.n
         point = np.mean(list(self.cell.targets.values()), axis=0)
-        way = (part.centre - place) / np.linalg.norm(part.centre - place)
-        starts = inner.lower + (inner.upper - inner.lower) * self.rng.random((STARTS, n))
-        q = reaching(self.cell.robot, place, way, starts, point=point, normal=np.array([0.0, 0.0, 1.0]))
+        axis = (part.centre - place) / np.linalg.norm(part.centre - place)
+        starts = inner.lower + (inner.upper - inner.lower) * self.rng.random((IK_STARTS, n))
+        q = reaching(self.cell.robot, place, axis, starts, point=point, normal=np.array([0.0, 0.0, 1.0]))
         q = np.round(q, DIGITS)
         q = q[np.all((q >= inner.lower) & (q <= inner.upper), axis=1)]
         if not len(q):
             return []
         points, rotation = self.bench.points(q)
-        q = q[self._seen(q, points, rotation, np.ones(len(q), dtype=bool))]
+        q = q[self._visible(q, points, rotation, np.ones(len(q), dtype=bool))]
         return [q[int(np.argmin(np.abs(self._scaled(q) - 0.5).max(axis=1)))]] if len(q) else []
 
     def _visits(
         self, table: Literal["poses", "verification"], q: Array, signs: Array, order: Integers, numbers: list[int],
         before: Array | None = None,
     ) -> list[Visit]:  # fmt: skip
-        """Visits in an order, the first coming from ``before``."""
+        """Visits of the poses ``q`` in ``order``, with visit ``numbers``; the first starts at ``before``."""
         targets, out = tuple(self.cell.targets), []
         for k, number in zip(order, numbers, strict=True):
             via = np.round(q[k] - self.wishes.approach * signs[k], DIGITS)
@@ -334,6 +350,7 @@ class _Search:
         return out
 
     def _finished(self, visits: list[Visit], assumed: tuple[str, ...]) -> Plan:
+        """The plan of the visits with its expected results, checked against its own limits."""
         wishes, bench = self.wishes, self.bench
         own = [v for v in visits if v.table == "poses"]
         factors = bench.factors(np.array([v.q for v in own]), np.array([v.direction for v in own]))

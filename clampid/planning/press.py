@@ -1,4 +1,4 @@
-"""How hard a clamped arm is pressed: up to which wind-up of a joint's spring, and what the clamp bears."""
+"""Amplitudes of clamped sweeps, the stiffness that they assume, and the limits of a clamp."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from kinematics.description import RobotDescription
 
 __all__ = ["Press", "press_limits", "stiffness_of"]
 
-WINDUP = 4e-3  # rad at the joint at rated torque, where no spring is known: the reference robot's main axes
+USUAL_WINDUP = 4e-3  # rad at the joint at rated torque, if no spring is described: that of the reference robot's axes
 
 
 @dataclass(frozen=True)
 class Press:
-    """How hard to press, and what the clamp bears.
+    """How hard a clamped arm is pressed.
 
     Attributes
     ----------
     amplitude
-        ``(n,)``: shares of the rated motor torques that the driven joint's spring is wound up to.
+        Largest spring torque of the driven joint, as a share of the rated motor torque ``(n,)``.
     rated
-        ``(n,)`` Nm at the motors.
+        Rated torques at the motors ``(n,)``, Nm.
     stiffness
-        ``(n,)`` Nm/rad at the motors, as described.
+        Described stiffness at the motors ``(n,)``, Nm/rad.
     margin
-        By how much stiffer drives may be than described.
+        Factor by which drives may be stiffer than described.
     dwell
-        s at each step.
+        Time at each step, s.
     clamping_time
-        s that it takes to clamp the flange.
+        Time to clamp the flange, s.
     """
 
     amplitude: Array
@@ -45,23 +45,37 @@ class Press:
 
 
 def stiffness_of(robot: RobotDescription, rated: Array) -> tuple[Array, tuple[str, ...]]:
-    """Springs at the motors ``(n,)``, Nm/rad, as described or as usual, and what had to be assumed."""
+    """Stiffness at the motors ``(n,)``, Nm/rad, as described or else usual, and assumptions in words.
+
+    ``rated`` ``(n,)``: rated torques at the motors, Nm.
+    """
     if robot.motor_spring is not None:
         return np.array(robot.motor_spring, dtype=float), ()
     ratio = np.abs(np.diag(robot.transmission))
-    words = f"no springs are described: every drive winds up by {WINDUP * 1e3:g} mrad at its rated torque"
-    return np.asarray(rated * ratio / WINDUP), (words,)
+    words = f"no springs are described: every drive winds up by {USUAL_WINDUP * 1e3:g} mrad at its rated torque"
+    return np.asarray(rated * ratio / USUAL_WINDUP), (words,)
 
 
 def press_limits(
     limits: Limits, rated: Array, *, torque: float = 0.8, force: float = 3000.0, moment: float = 2000.0
 ) -> Limits:
-    """Limits with those of a clamp: a share of the rated motor torques, N and Nm.
+    """The limits with those of a clamp.
+
+    Parameters
+    ----------
+    limits
+        Limits of the robot.
+    rated
+        Rated torques at the motors ``(n,)``, Nm.
+    torque
+        Largest motor torque, as a share of the rated one.
+    force, moment
+        Largest force, N, and moment, Nm, on the clamp.
 
     Raises
     ------
     PlanError
-        One of them is not above 0.
+        One of the three is not above 0.
     """
     for name, value in (("motor torque", torque), ("force on the clamp", force), ("moment on the clamp", moment)):
         if not value > 0 or not np.isfinite(value):

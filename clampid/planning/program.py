@@ -1,4 +1,4 @@
-"""What plans of logged programs have in common, in free air and of the wrist: counts and expected results."""
+"""Wishes for plans of torque logs, in free air or of the wrist, and the finished plan with its expected results."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from experiments.plans.limits import Limits
 from experiments.plans.model import Plan, Run
 from experiments.plans.validate import validate_plan
 
-__all__ = ["LogWishes", "finished_program"]
+__all__ = ["LogWishes", "plan_of_runs"]
 
-LONGEST_LOG = 86_400.0  # s, of one program
+LONGEST_LOG = 86_400.0  # s, all runs of a plan together
 
 
 @dataclass(frozen=True)
 class LogWishes:
-    """What logs of moves in free air are wanted.
+    """The wishes for a plan of torque logs.
 
     Attributes
     ----------
     time
-        Budget, s, for all runs.
+        Time budget of all runs, s.
     speeds
-        Shares of the top speeds at which the whole program runs, once each.
+        Shares of the top speeds; the whole program runs once at each.
     effects
-        What is asked, ``effect`` or ``effect@joint3``; None: the experiment's standard set.
+        Effects to identify, ``effect`` or ``effect@joint3``; None: the standard set of the experiment.
     dwell
-        s at each stop.
+        Time at each stop, s.
     rate
-        Hz of the log.
+        Rate of the log, Hz.
     seed
-        Of the candidates.
+        Seed of the candidates.
     """
 
     time: float = 1200.0
@@ -49,12 +49,12 @@ class LogWishes:
     seed: int = 0
 
     def check(self) -> None:
-        """Refuse numbers that no program can have.
+        """Check that all numbers are in range.
 
         Raises
         ------
         PlanError
-            The first of them.
+            One is not; the message names the first.
         """
         if not 0 < self.time <= LONGEST_LOG:
             raise PlanError(f"time: expected seconds above 0, at most {LONGEST_LOG:g}, found {self.time:g}")
@@ -71,12 +71,12 @@ class LogWishes:
             raise PlanError(f"rate: expected Hz above 0, found {self.rate:g}")
 
     def record(self, effects: Sequence[str]) -> dict[str, float | int | str]:
-        """What was asked for, as the plan records it, and of which effects."""
+        """The wishes as the plan records them, with the ``effects`` that they led to."""
         speeds = ", ".join(f"{s:g}" for s in self.speeds)
         return {"time_s": self.time, "speeds": speeds, "effects": ", ".join(effects), "seed": self.seed}
 
 
-def finished_program(
+def plan_of_runs(
     kind: Literal["free_air", "wrist"],
     limits: Limits,
     bench: LogBench,
@@ -86,14 +86,24 @@ def finished_program(
     assumed: Sequence[str] = (),
     impossible: tuple[str, ...] = (),
 ) -> Plan:
-    """The plan of these runs, with the parameters they will identify, checked against its own limits.
+    """The plan of these runs, with its expected results, checked against its own limits.
 
     Parameters
     ----------
+    kind
+        The experiment.
+    limits
+        Limits of the robot.
+    bench
+        What computes the information of the runs.
+    runs
+        The runs.
     wished
-        What was asked for, for the record.
+        The wishes, for the record.
+    assumed
+        Assumptions, in words.
     impossible
-        Sentences on what no such program could identify.
+        Sentences on what no program of this kind could identify.
 
     Raises
     ------

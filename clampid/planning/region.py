@@ -1,4 +1,4 @@
-"""Regions of the workspace that poses are wanted in: boxes and parts of spheres, base frame."""
+"""Regions of the workspace for planned poses: boxes and parts of spheres, base frame."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GOLDEN = (1 + 5**0.5) / 2
 
 @dataclass(frozen=True)
 class Box:
-    """An upright box, corners ``lower`` and ``upper`` ``(3,)``, m."""
+    """A box with edges along the base's axes, from corner ``lower`` to corner ``upper`` ``(3,)``, m."""
 
     lower: Array
     upper: Array
@@ -28,25 +28,25 @@ class Box:
 
     @property
     def words(self) -> str:
-        """For people."""
+        """The box in words for people."""
         sides = (f"{axis} {a:g} to {b:g}" for axis, a, b in zip("xyz", self.lower, self.upper, strict=True))
         return f"box {', '.join(sides)} m"
 
 
 @dataclass(frozen=True)
 class SpherePart:
-    """What lies between two radii about a point and not farther than an angle from an axis: a detector's sphere.
+    """Part of a spherical shell within an angle of an axis, such as the sphere of a detector.
 
     Attributes
     ----------
     centre
-        ``(3,)`` m.
+        Centre of the sphere ``(3,)``, m.
     inner, outer
         Radii, m.
     axis
-        ``(3,)``, of unit length.
+        Axis of the part ``(3,)``, unit vector.
     half_angle
-        rad, 0 … pi.
+        Largest angle to the axis, rad, 0 … pi.
     """
 
     centre: Array
@@ -63,9 +63,9 @@ class SpherePart:
         return np.asarray((r >= self.inner) & (r <= self.outer) & along)
 
     def grid(self, count: int) -> Array:
-        """Points ``(count, 3)``, m, spread evenly over the part, in turn at its inner, middle and outer radius.
+        """Evenly spread points ``(count, 3)``, m, in turn at the inner, middle and outer radius.
 
-        A Fibonacci lattice on the cap: Gonzalez, Measurement of areas on a sphere using Fibonacci and
+        Source of the Fibonacci lattice on the cap: Gonzalez, Measurement of areas on a sphere using Fibonacci and
         latitude-longitude lattices, Mathematical Geosciences 42, 2010.
         """
         k = np.arange(count)
@@ -80,7 +80,7 @@ class SpherePart:
 
     @property
     def words(self) -> str:
-        """For people."""
+        """The part in words for people."""
         c, a = (", ".join(f"{v:g}" for v in vector) for vector in (self.centre, self.axis))
         return (
             f"part of a sphere about ({c}) m, radius {self.inner:g} to {self.outer:g} m, up to {self.half_angle:g} rad "
@@ -97,7 +97,7 @@ def box_of(numbers: Sequence[float]) -> Box:
     Raises
     ------
     PlanError
-        There are not six numbers, or the box has no inside.
+        There are not six finite numbers, or an edge has no length.
     """
     if len(numbers) != 6:
         raise PlanError(f"box: expected six numbers, x, y, z of two opposite corners in m, found {len(numbers)}")
@@ -108,9 +108,9 @@ def box_of(numbers: Sequence[float]) -> Box:
 
 
 def sphere_part_of(numbers: Sequence[float]) -> SpherePart:
-    """Part of a sphere from nine numbers: centre (3) m, inner and outer radius m, axis (3), half-angle rad.
+    """Part of a sphere from nine numbers: centre (3), m; inner and outer radius, m; axis (3); half-angle, rad.
 
-    Five numbers, without axis and angle, are the whole shell.
+    Five numbers, without axis and half-angle, give the whole shell.
 
     Raises
     ------

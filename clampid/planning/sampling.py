@@ -1,4 +1,4 @@
-"""Candidate configurations: spread over the joint ranges, evenly (Halton points), clear of floor and obstacles."""
+"""Candidate configurations: evenly spread over the joint ranges (Halton points), with a test that they must pass."""
 
 from __future__ import annotations
 
@@ -13,32 +13,38 @@ from experiments.plans.limits import Limits
 
 __all__ = ["configurations", "far_apart"]
 
-DIGITS = 6  # of the angles in a plan: a microradian, a tenth of what any robot repeats
+DIGITS = 6  # of the angles in a plan: a microradian, a tenth of the best repeatability of robots
 SAMPLING_ROUNDS = 60
 Allowed = Callable[[Array], Bools]
 
 
 def configurations(limits: Limits, count: int, allowed: Allowed, seed: int, *, why: str = "allowed") -> Array:
-    """``count`` configurations ``(count, n)``, rad, inside the limits, that ``allowed`` lets pass.
+    """Allowed configurations inside the limits ``(count, n)``, rad; fewer if few are found.
 
     Parameters
     ----------
+    limits
+        Ranges of the joints.
+    count
+        The wanted number.
     allowed
-        ``(N, n)`` → ``(N,)``.
+        Test of configurations: ``(N, n)``, rad → ``(N,)``.
+    seed
+        Seed of the sequence.
     why
-        What they must be, for the error.
+        What allowed configurations are, for the error message.
 
     Raises
     ------
     PlanError
-        Hardly any configuration is allowed.
+        Fewer than 8, or than a twentieth of ``count``, are found.
     """
     halton = qmc.Halton(len(limits.lower), scramble=True, seed=np.random.default_rng(seed))
     found: list[Array] = []
     tried = 0
     for _ in range(SAMPLING_ROUNDS):
         q = limits.lower + (limits.upper - limits.lower) * halton.random(max(count, 200))
-        # Rounding must not leave the limits.
+        # Rounded angles may lie just outside the limits, hence the clipping.
         q = np.clip(np.round(q, DIGITS), limits.lower, limits.upper)
         tried += len(q)
         found += list(q[allowed(q)])
@@ -50,9 +56,10 @@ def configurations(limits: Limits, count: int, allowed: Allowed, seed: int, *, w
 
 
 def far_apart(places: Array, count: int, given: int = 0) -> list[int]:
-    """``count`` of the places ``(N, n)``, each as far as can be from those before it; the first ``given`` in any case.
+    """Indices of ``count`` of the points ``places`` ``(N, n)``, each as far as possible from those before it.
 
-    Source: Gonzalez, Clustering to minimize the maximum intercluster distance, Theor. Comp. Sci. 38, 1985.
+    The first ``given`` points are taken in any case. Source: Gonzalez, Clustering to minimize the maximum intercluster
+    distance, Theor. Comp. Sci. 38, 1985.
     """
     if count <= 0:
         return []

@@ -1,7 +1,8 @@
-"""What the arm of a plan must not touch, and what hides its tracked points from an instrument.
+"""Obstacles of a plan: collisions of the arm, and occlusion of its tracked points.
 
-The world and the check are those of `ik` and of the server (:mod:`kinematics.collision`), so that what is clear here is
-clear there. Where no cell file says what the flange carries, it is a capsule to the farthest tracked point.
+The world and the collision check are those of `ik` and of the server (:mod:`kinematics.collision`). A configuration
+that is clear in a plan is therefore clear there. If no cell file describes what the flange carries, it is a capsule to
+the farthest tracked point.
 """
 
 from __future__ import annotations
@@ -26,27 +27,27 @@ from kinematics.collision.world import World
 
 __all__ = ["Scene", "usual_floor"]
 
-BEAM = 0.01  # m, radius of a line of sight
-SHORTEST_BEAM = 1e-6  # m
-UPRIGHT = 0.7  # cosine of the tilt up to which a base plane is a floor
+BEAM_RADIUS = 0.01  # m: of a line of sight
+SHORTEST_BEAM = 1e-6  # m: a shorter line of sight has no direction
+UPRIGHT = 0.7  # least cosine of the tilt at which the base's plane is taken as the floor
 
 
 class Scene:
-    """The arm of a cell in a described world.
+    """The arm of a cell among its obstacles.
 
     Parameters
     ----------
     cell
         Robot, tracked points and gravity.
     described
-        The world.
+        Description of the world.
     assumed
-        What of it nobody said, in words.
+        Assumptions in this description, in words.
 
     Raises
     ------
     PlanError
-        The file of a mesh is none.
+        A file of a mesh cannot be read.
     """
 
     def __init__(self, cell: Cell, described: WorldDescription, assumed: Sequence[str] = ()) -> None:
@@ -55,7 +56,7 @@ class Scene:
             self.world = World(cell.robot, described)
         except MeshError as error:
             raise PlanError(str(error)) from None
-        # What hides a point: not half-spaces, and not the hand that carries the targets.
+        # Shapes that can hide a point: all but half-spaces and the hand that carries the targets.
         self._hiding = [
             k
             for k, shape in enumerate(self.world.shapes)
@@ -66,14 +67,18 @@ class Scene:
     def around(
         cls, cell: Cell, obstacles: Sequence[Obstacle] = (), floor: float | None = 0.0, radius: float | None = None
     ) -> Scene:
-        """A floor, obstacles, and an arm that carries a tool as long as its farthest tracked point is away.
+        """A scene of a floor and obstacles, with a tool that reaches to the farthest tracked point.
 
         Parameters
         ----------
+        cell
+            Robot, tracked points and gravity.
+        obstacles
+            Obstacles, base frame.
         floor
-            Height above the base's origin, m, along what gravity says is up; None: no floor.
+            Height of the floor above the base's origin, m, against gravity; None: no floor.
         radius
-            Of all links and the tool, m; None: links as guessed from the arm's reach, the tool as the last of them.
+            Radius of all links and the tool, m; None: links as guessed from the arm's reach, the tool as the last one.
 
         Raises
         ------
@@ -90,12 +95,12 @@ class Scene:
         cls, cell: Cell, path: Path, obstacles: Sequence[Obstacle] = (), floor: float | None = None,
         radius: float | None = None,
     ) -> Scene:  # fmt: skip
-        """The world of a cell file of `ik` and `serve`; obstacles, a floor and a radius of the links beside it.
+        """A scene from a cell file of `ik` and `serve`; obstacles, floor and radius are added as in :meth:`around`.
 
         Raises
         ------
         PlanError
-            The file is wrong, or of another robot, or the radius is not above 0.
+            The file is wrong or of another robot, or the radius is not above 0.
         """
         described = read_world(path, cell.robot, PlanError)
         more = () if floor is None else (floor_at(floor, _up(cell)),)
@@ -109,30 +114,30 @@ class Scene:
 
     @classmethod
     def floor_only(cls, cell: Cell) -> Scene:
-        """The base's plane as floor, if the robot stands upright."""
+        """A scene with the base's plane as floor, if the robot stands upright; else an empty one."""
         return cls.around(cell, floor=usual_floor(cell))
 
     def clear(self, q: Array) -> Bools:
-        """Whether configurations ``(N, n)``, rad, touch nothing ``(N,)``."""
+        """Whether configurations ``q`` ``(N, n)``, rad, are free of collisions ``(N,)``."""
         return self.world.clear(q)
 
     def way_clear(self, start: Array, end: Array) -> bool:
-        """Whether a move, all joints in step, touches nothing on its way; ``(n,)`` rad each."""
+        """Whether a synchronous move of all joints from ``start`` to ``end`` ``(n,)``, rad, is free of collisions."""
         return move_clear(self.world, start, end)
 
     def unhidden(self, q: Array, points: Array, station: Array) -> Bools:
-        """Whether neither obstacles nor the arm stand between an instrument and tracked points ``(N,)``.
+        """Whether all lines of sight to the tracked points are free of obstacles and of the arm ``(N,)``.
+
+        The hand that carries the targets is left out: the acceptance angle of the targets accounts for it.
 
         Parameters
         ----------
         q
-            ``(N, n)`` rad.
+            Joint angles ``(N, n)``, rad.
         points
-            ``(N, t, 3)`` m, base frame.
+            Tracked points ``(N, t, 3)``, m, base frame.
         station
-            ``(3,)`` m, base frame.
-
-        The hand that carries the targets is left out: what it hides is said by where the targets look.
+            Position of the instrument ``(3,)``, m, base frame.
         """
         placed = self.world.at(q)
         out = np.ones(len(q), dtype=bool)
@@ -144,12 +149,12 @@ class Scene:
 
 
 def usual_floor(cell: Cell) -> float | None:
-    """The height of the floor where nobody says, m: the base's plane if the robot stands upright, or none."""
+    """Height of the floor, m, if none is given: that of the base's plane if the robot stands upright, else None."""
     return 0.0 if _up(cell)[2] > UPRIGHT else None
 
 
 def with_radius(described: WorldDescription, cell: Cell, radius: float | None) -> WorldDescription:
-    """The world with all links of one radius, m; None: as it is.
+    """The world with one radius, m, for all links; unchanged if ``radius`` is None.
 
     Raises
     ------
@@ -164,17 +169,19 @@ def with_radius(described: WorldDescription, cell: Cell, radius: float | None) -
 
 
 def _thickness(described: WorldDescription, cell: Cell) -> str:
+    """The radii of base and links in words."""
     base, radii = described.radii(cell.robot)
     links = dict.fromkeys(f"{radius:.2g}" for radius in radii.tolist())
     return f"the arm is a chain of capsules; radius of the base {base:.2g} m, of the links {', '.join(links)} m"
 
 
 def _up(cell: Cell) -> Array:
+    """Unit vector against gravity ``(3,)``, base frame."""
     return np.asarray(-cell.gravity / np.linalg.norm(cell.gravity))
 
 
 def _tool(cell: Cell, radius: float) -> Carried | None:
-    """What reaches from the flange to the farthest tracked point, or to the tool's centre of mass."""
+    """The tool as a capsule from the flange to the farthest tracked point, or else to the tool's centre of mass."""
     points = cell.targets.values() or (cell.tool_com,)
     return carried_capsule(max(points, key=lambda p: float(np.linalg.norm(p))), radius)
 
@@ -183,4 +190,4 @@ def _ray(start: Array, end: Array) -> tuple[Any, Any]:
     """The line of sight between two points, as a thin capsule."""
     length = float(np.linalg.norm(end - start))
     turn = rotation_to((end - start) / length) if length > SHORTEST_BEAM else np.eye(3)
-    return coal.Capsule(BEAM, length), coal.Transform3s(turn, (start + end) / 2)
+    return coal.Capsule(BEAM_RADIUS, length), coal.Transform3s(turn, (start + end) / 2)

@@ -1,4 +1,4 @@
-"""Line of sight: whether an instrument sees the tracked points, by its own field of view and by theirs."""
+"""Line of sight: an instrument's field of view, and the acceptance angle of its targets."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ __all__ = ["Sight", "sight_of"]
 
 @dataclass(frozen=True)
 class Sight:
-    """An instrument and two cones, each made narrower by a tolerance.
+    """Position and field of view of an instrument, and acceptance cone of its targets.
 
     Attributes
     ----------
     station
-        ``(3,)`` m, base frame: where the instrument stands.
+        Position of the instrument ``(3,)``, m, base frame.
     view, field
-        Axis ``(3,)`` of what the instrument can see, base frame, unit length, and half-angle of that cone, rad.
+        Axis of the field of view ``(3,)``, unit vector, base frame, and half-angle of its cone, rad.
     facing, acceptance
-        Where the targets look, ``(3,)`` in the flange frame, unit length, and half-angle within which they answer,
-        rad: 30 degrees for an open corner cube.
+        Direction in which the targets face ``(3,)``, unit vector, flange frame, and half-angle of their acceptance
+        cone, rad: 30 degrees for an open corner cube.
     tolerance
-        rad: by how much the station and the targets may be turned from what is stated.
+        Possible error of the stated directions, rad; it is subtracted from both half-angles.
     """
 
     station: Array
@@ -38,7 +38,15 @@ class Sight:
     tolerance: float
 
     def sees(self, points: Array, rotation: Array) -> Bools:
-        """Whether all of the points ``(N, t, 3)`` m, on flanges turned by ``(N, 3, 3)``, are in both cones ``(N,)``."""
+        """Whether the instrument sees all points of a pose ``(N,)``; obstacles are not considered.
+
+        Parameters
+        ----------
+        points
+            ``(N, t, 3)``, m, base frame.
+        rotation
+            Rotation of the flange ``(N, 3, 3)``, base frame.
+        """
         way = points - self.station
         way = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-12)
         out = np.ones(points.shape[:2], dtype=bool)
@@ -51,7 +59,7 @@ class Sight:
 
     @property
     def words(self) -> str:
-        """For people."""
+        """The instrument in words for people."""
         return f"instrument at ({', '.join(f'{v:g}' for v in self.station)}) m"
 
 
@@ -66,13 +74,13 @@ def sight_of(
     Parameters
     ----------
     station
-        x, y, z, m, base frame.
+        Position x, y, z of the instrument, m, base frame.
     view
-        Axis x, y, z of the field of view, base frame, and its half-angle, rad; None: it sees all around.
+        Axis x, y, z of the field of view, base frame, and its half-angle, rad; None: all directions.
     facing
-        Axis x, y, z in the flange frame along which the targets look, and half-angle, rad; None: from all sides.
+        Direction x, y, z in which the targets face, flange frame, and their half-angle, rad; None: all directions.
     tolerance
-        rad, taken off both half-angles.
+        Possible error of the stated directions, rad.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A short way through places: to the nearest one each time, then turning stretches round as long as that shortens it.
+"""Short open tours through places: nearest neighbour, then reversal of segments while it shortens the tour (2-opt).
 
 Source: Croes, A method for solving traveling-salesman problems, Operations Research 6, 1958 (2-opt), on an open path.
 """
@@ -13,19 +13,21 @@ __all__ = ["short_tour", "tour_length"]
 
 
 def tour_length(cost: Array, order: list[int]) -> float:
-    """Sum of the steps of ``cost`` ``(N, N)`` along an order."""
+    """Sum of the costs ``(N, N)`` of the steps along an order."""
     return float(cost[order[:-1], order[1:]].sum())
 
 
 def short_tour(cost: Array, start: int = 0, fixed: bool = True) -> list[int]:
-    """An order of all places that begins at ``start``.
+    """A short order of all N places.
 
     Parameters
     ----------
     cost
-        ``(N, N)``, symmetric; what must not be done costs much, but not infinitely.
+        Symmetric costs of the steps ``(N, N)``; forbidden steps have a large, finite cost.
+    start
+        Index of the place at which the search begins.
     fixed
-        Whether the first place stays the first.
+        Whether ``start`` stays the first place.
     """
     N = len(cost)
     order, left = [start], set(range(N)) - {start}
@@ -38,8 +40,8 @@ def short_tour(cost: Array, start: int = 0, fixed: bool = True) -> list[int]:
     while moved:
         moved = False
         for i in range(1 if fixed else 0, N - 1):
-            # Turning round order[i..j]: the steps into i and out of j change; before the first and after the last
-            # there are none.
+            # Reversing order[i..j] changes only the steps into i and out of j; the first place has no step into it,
+            # and the last none out of it.
             at = np.array(order)
             j = np.arange(i + 1, N)
             after = np.minimum(j + 1, N - 1)

@@ -1,7 +1,7 @@
-"""Programs that visit given postures again and again: what their plans have in common.
+"""Plans of repeated visits to given postures: paths, approaches, visits, and the complete plan.
 
-The direction of approach is part of the measurement: with backlash and friction a posture is reached differently
-from the other side. Every visit therefore ends with a short last move of its own, whose signs are stated.
+The direction of approach is part of the measurement: with backlash and friction, a posture approached from the other
+side is a different one. Therefore every visit ends with a short last move with stated signs.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from experiments.plans.limits import Limits, course_of
 from experiments.plans.model import Cell, Plan, Steady, Visit
 from experiments.plans.validate import validate_plan
 
-__all__ = ["Approach", "Stop", "finished", "path_through", "sides_along", "visits_of"]
+__all__ = ["Approach", "Stop", "approach_signs", "path_through", "plan_of_visits", "visits_of"]
 
-STARTS = 60  # postures from which the first place of a path is looked for
-LONGEST_STEP = 0.7  # rad between postures of neighbouring places: more is another branch
-WHOLE_PERCENT = 0.01  # of the top speeds: less is not what a controller takes
+IK_STARTS = 60  # postures from which the inverse kinematics of the first place is started
+LARGEST_POSTURE_STEP = 1.4  # rad (m) of any joint between postures of neighbouring places: more is another branch
+LEAST_SPEED_SHARE = 0.01  # of the top speeds: controllers take no smaller override
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,11 @@ class Approach:
     Attributes
     ----------
     angle
-        rad (m), of every joint.
+        Angle (travel) of every joint, rad (m).
     seconds
-        s that it takes at least; None: as fast as the limits allow.
+        Its least duration, s; None: as fast as the limits allow.
     share
-        Share of the top speeds of all other moves.
+        Share of the top speeds for all moves.
     """
 
     angle: float = 0.05
@@ -47,12 +47,12 @@ class Approach:
     share: float = 1.0
 
     def check(self) -> None:
-        """Refuse numbers that no move can have.
+        """Check that all numbers are in range.
 
         Raises
         ------
         PlanError
-            The first of them.
+            One is not; the message names the first.
         """
         if not 0.0 < self.angle < 1.0:
             raise PlanError(f"approach: expected rad above 0 and below 1, found {self.angle:g}")
@@ -69,15 +69,15 @@ class Stop:
     Attributes
     ----------
     pose
-        From 1; the same number means the same posture.
+        Number of the posture, from 1.
     q
-        ``(n,)`` rad.
+        Posture ``(n,)``, rad.
     via
-        ``(n,)`` rad, where its last move begins.
+        Start of its last move ``(n,)``, rad.
     targets, times, wait
-        As of a visit.
+        As of a :class:`~experiments.plans.model.Visit`.
     slow
-        Whether the last move takes as long as the approach says; else it is as fast as the other ones.
+        Whether the last move has the least duration of the approach; else it is as fast as the other moves.
     """
 
     pose: int
@@ -89,39 +89,41 @@ class Stop:
     slow: bool = True
 
 
-def sides_along(q: Array, before: Array) -> Array:
-    """Signs ``(n,)`` of the way from a posture to the next; joints that stand still come from below."""
+def approach_signs(q: Array, before: Array) -> Array:
+    """Signs ``(n,)`` of the move from ``before`` to ``q`` ``(n,)``, rad; +1 for joints that do not move."""
     travel = np.asarray(q) - before
     return np.where(np.abs(travel) > 10.0**-DIGITS, np.sign(travel), 1.0)
 
 
 def path_through(
-    cell: Cell, limits: Limits, scene: Scene, places: Array, way: Array, point: Array, room: float
+    cell: Cell, limits: Limits, scene: Scene, places: Array, z_axis: Array, point: Array, room: float
 ) -> Array:
-    """Postures ``(m, n)``, rad, that bring a point of the tool to places one after the other, without changing branch.
+    """Postures ``(m, n)``, rad, that bring a tool point to one place after the other on one branch of the robot.
 
     Parameters
     ----------
+    cell, limits, scene
+        The cell, its limits and its obstacles.
     places
-        ``(m, 3)`` m, base frame.
-    way
-        ``(3,)``, base frame: where the flange's z axis looks.
+        Places ``(m, 3)``, m, base frame.
+    z_axis
+        Direction of the flange's z axis ``(3,)``, base frame; not of unit length.
     point
-        ``(3,)`` m, flange frame.
+        Tool point ``(3,)``, m, flange frame.
     room
-        rad that every joint keeps from its limits, for approaches from either side.
+        Distance of every joint to its limits, rad, for approaches from either side.
 
     Raises
     ------
     PlanError
-        No branch reaches all places within the limits and clear of everything.
+        No branch reaches all places within the limits and clear of obstacles.
     """
-    length = float(np.linalg.norm(way))
+    length = float(np.linalg.norm(z_axis))
     if not length > 0.0 or not np.all(np.isfinite(places)):
         raise PlanError("expected finite places, and a direction for the flange's z axis that is not zero")
     lower, upper = limits.lower + room, limits.upper - room
-    starts = lower + (upper - lower) * np.random.default_rng(0).random((STARTS, cell.robot.n))
-    axis, normal = way / length, np.array([0.0, 0.0, 1.0])
+    starts = lower + (upper - lower) * np.random.default_rng(0).random((IK_STARTS, cell.robot.n))
+    axis, normal = z_axis / length, np.array([0.0, 0.0, 1.0])
 
     def inside(q: Array) -> bool:
         return bool(np.all((q >= lower) & (q <= upper)))
@@ -136,7 +138,7 @@ def path_through(
         path = [np.round(start, DIGITS)]
         for place in places[1:]:
             found = reaching(cell.robot, place, axis, path[-1][None], point=point, normal=normal)
-            if not len(found) or not inside(found[0]) or np.max(np.abs(found[0] - path[-1])) > LONGEST_STEP * 2:
+            if not len(found) or not inside(found[0]) or np.max(np.abs(found[0] - path[-1])) > LARGEST_POSTURE_STEP:
                 break
             path.append(np.round(found[0], DIGITS))
         clear = scene.clear(np.array(path))
@@ -152,12 +154,21 @@ def path_through(
 
 
 def visits_of(cell: Cell, limits: Limits, scene: Scene, stops: Sequence[Stop], approach: Approach) -> tuple[Visit, ...]:
-    """Visits with times for their moves; every way is clear.
+    """Visits with timed moves, all of them checked for collisions.
+
+    Parameters
+    ----------
+    cell, limits, scene
+        The cell, its limits and its obstacles.
+    stops
+        The stops in their order.
+    approach
+        Speed of the moves, and duration of the last one to each stop.
 
     Raises
     ------
     PlanError
-        A way touches something.
+        A move touches something, or the approach is out of range.
     """
     approach.check()
     known: dict[tuple[tuple[float, ...], ...], bool] = {}
@@ -191,23 +202,38 @@ def visits_of(cell: Cell, limits: Limits, scene: Scene, stops: Sequence[Stop], a
     return tuple(visits)
 
 
-def finished(
+def plan_of_visits(
     cell: Cell, limits: Limits, visits: tuple[Visit, ...], measure_time: float,
     wished: Mapping[str, float | int | str], assumed: Sequence[str], steady: Steady | None = None,
 ) -> Plan:  # fmt: skip
     """The plan of these visits, checked against its own limits.
 
+    Parameters
+    ----------
+    cell, limits
+        The cell and its limits.
+    visits
+        The visits.
+    measure_time
+        Time for each target, s.
+    wished
+        The wishes, for the record.
+    assumed
+        Assumptions, in words.
+    steady
+        When the program ends early; None: never.
+
     Raises
     ------
     PlanError
-        A move is beyond a limit, or the time for a point is none.
+        A move exceeds a limit, or the measuring time is out of range.
     """
     if not 0.0 <= measure_time < 3600.0:
         raise PlanError(f"measuring time: expected seconds from 0 to 3600, found {measure_time:g}")
     said = list(assumed)
     top = limits.speed
     peaks = [np.max(np.abs(v.q - v.via) / top) / (v.duration[1] - v.ramp[1]) for v in visits if np.any(v.q != v.via)]
-    if peaks and min(peaks) < WHOLE_PERCENT:
+    if peaks and min(peaks) < LEAST_SPEED_SHARE:
         said.append(
             f"the slowest move has {min(peaks):.2%} of the top speeds; a link that takes whole per cents does it at 1 %"
         )
@@ -227,4 +253,5 @@ def finished(
 
 
 def _words(place: Array) -> str:
+    """Coordinates of a place for messages."""
     return ", ".join(f"{v:.4g}" for v in place)

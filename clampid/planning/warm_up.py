@@ -1,7 +1,7 @@
-"""Warming a robot up and letting it cool, in alternation with a reference point that is measured.
+"""Plans of a warm-up and cool-down: motion of chosen joints alternates with measurements of a reference point.
 
 Between two measurements the chosen joints swing to and fro about the reference posture. An interruption is a rest of a
-stated length after a stated time of motion. Cooling down is a rest with measurements at the same interval.
+stated length after a stated time of motion. The cool-down is a rest with measurements at the same interval.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clampid.planning.returns import MOST_VISITS, Returns
+from clampid.planning.returns import MAX_VISITS, ReturnWishes
 from clampid.planning.scene import Scene
-from clampid.planning.visiting import Stop, finished, visits_of
+from clampid.planning.visiting import Stop, plan_of_visits, visits_of
 from clampid.stages.rows import Array
 from experiments.plans.errors import PlanError
 from experiments.plans.limits import Limits, course_of
@@ -21,33 +21,33 @@ from experiments.plans.model import Cell, Plan, Steady
 
 __all__ = ["WarmUp", "plan_warm_up"]
 
-REFERENCE = 1  # number of the pose that is measured; swings have the numbers after it
+REFERENCE_POSE = 1  # number of the pose that is measured; swings have the numbers after it
 
 
 @dataclass(frozen=True)
 class WarmUp:
-    """How a robot is warmed.
+    """The wishes for a warm-up.
 
     Attributes
     ----------
     joints
-        From 0.
+        Numbers of the joints that move, from 0.
     together
-        All of them at once; otherwise one after the other, each for the whole time.
+        Whether all of them move at once; otherwise one after the other, each for the whole time.
     swing
-        rad, to either side of the reference posture.
+        Amplitude to either side of the reference posture, rad.
     hours
-        Of motion (and measuring).
+        Duration of motion and measurements, h.
     repetitions
-        Measurements of the reference point after which it ends, whatever the hours are; None: the hours count.
+        Number of measurements of the reference point after which it ends, instead of ``hours``; None: by ``hours``.
     every
-        s of motion between two measurements.
+        Time of motion between two measurements, s.
     interrupt
-        After how much motion, and for how long it then rests, both in s; None: no interruptions.
+        Time of motion before a rest, and duration of the rest, both s; None: no interruptions.
     cool
-        h of rest at the end.
+        Rest at the end, h.
     steady
-        When it ends earlier.
+        Criterion for an earlier end; None: none.
     """
 
     joints: tuple[int, ...]
@@ -61,12 +61,12 @@ class WarmUp:
     steady: Steady | None = None
 
     def check(self) -> None:
-        """Refuse numbers that no warm-up can have.
+        """Check that all numbers are in range.
 
         Raises
         ------
         PlanError
-            The first of them.
+            One is not; the message names the first.
         """
         for name, value, low, high in (
             ("hours", self.hours, 0.0, 168.0),
@@ -77,8 +77,8 @@ class WarmUp:
                 raise PlanError(f"{name}: expected above {low:g} and at most {high:g}, found {value:g}")
         if not 0.0 <= self.cool <= 168.0:
             raise PlanError(f"cool-down: expected hours from 0 to 168, found {self.cool:g}")
-        if self.repetitions is not None and not 1 <= self.repetitions <= MOST_VISITS:
-            raise PlanError(f"repetitions: expected 1 to {MOST_VISITS}, found {self.repetitions}")
+        if self.repetitions is not None and not 1 <= self.repetitions <= MAX_VISITS:
+            raise PlanError(f"repetitions: expected 1 to {MAX_VISITS}, found {self.repetitions}")
         if self.interrupt is not None and not all(0.0 < v <= 604800.0 for v in self.interrupt):
             raise PlanError(f"interrupt: expected hours above 0 and at most 168, found {self.interrupt}")
         if self.steady is not None and self.cool:
@@ -88,10 +88,23 @@ class WarmUp:
 
 
 def plan_warm_up(
-    cell: Cell, limits: Limits, scene: Scene, wanted: Returns, warm: WarmUp, posture: Array,
+    cell: Cell, limits: Limits, scene: Scene, wanted: ReturnWishes, warm: WarmUp, posture: Array,
     assumed: tuple[str, ...] = (),
 ) -> Plan:  # fmt: skip
-    """Swings about a posture ``(n,)``, rad, which is measured before, in between, and while it cools.
+    """Plan a warm-up about a reference posture, which is measured before, in between, and while the robot cools.
+
+    Parameters
+    ----------
+    cell, limits, scene
+        The cell, its limits and its obstacles.
+    wanted
+        Wishes for targets, speed and approach.
+    warm
+        The wishes for the warm-up.
+    posture
+        Reference posture ``(n,)``, rad.
+    assumed
+        Assumptions made so far, in words.
 
     Raises
     ------
@@ -102,8 +115,8 @@ def plan_warm_up(
     wanted.approach.check()
     wanted.point(cell)
     stops = list(_stops(cell, limits, wanted, warm, np.asarray(posture, dtype=np.float64)))
-    if len(stops) > MOST_VISITS:
-        raise PlanError(f"every: expected at most {MOST_VISITS} visits, found {len(stops)}")
+    if len(stops) > MAX_VISITS:
+        raise PlanError(f"every: expected at most {MAX_VISITS} visits, found {len(stops)}")
     record: dict[str, float | int | str] = {
         "program": "warm-up",
         "joints": ", ".join(str(j + 1) for j in warm.joints) + ("" if warm.together else ", one at a time"),
@@ -116,14 +129,17 @@ def plan_warm_up(
     record |= {} if warm.interrupt is None else {"interrupt_after_s": warm.interrupt[0], "rest_s": warm.interrupt[1]}
     record |= {"cool_down_h": warm.cool} if warm.cool else {}
     visits = visits_of(cell, limits, scene, stops, wanted.approach)
-    return finished(cell, limits, visits, wanted.measure_time, record, assumed, warm.steady)
+    return plan_of_visits(cell, limits, visits, wanted.measure_time, record, assumed, warm.steady)
 
 
-def _stops(cell: Cell, limits: Limits, wanted: Returns, warm: WarmUp, posture: Array) -> Iterator[Stop]:
-    reference = Stop(REFERENCE, posture, posture - wanted.approach.angle, wanted.targets)
+def _stops(cell: Cell, limits: Limits, wanted: ReturnWishes, warm: WarmUp, posture: Array) -> Iterator[Stop]:
+    """The stops in their order: swings, measurements of the reference posture, and rests."""
+    reference = Stop(REFERENCE_POSE, posture, posture - wanted.approach.angle, wanted.targets)
     pause = wanted.measure_time * len(wanted.targets)
     yield reference
-    for number, joints in enumerate([warm.joints] if warm.together else [(j,) for j in warm.joints], REFERENCE + 1):
+    for number, joints in enumerate(
+        [warm.joints] if warm.together else [(j,) for j in warm.joints], REFERENCE_POSE + 1
+    ):
         amplitude = np.zeros(cell.robot.n)
         amplitude[list(joints)] = warm.swing
         low, high = posture - amplitude, posture + amplitude
@@ -138,7 +154,7 @@ def _stops(cell: Cell, limits: Limits, wanted: Returns, warm: WarmUp, posture: A
             yield reference
             moved += block
             if warm.interrupt is not None and moved >= warm.interrupt[0] and k < blocks - 1:
-                yield Stop(REFERENCE, posture, reference.via, wanted.targets, wait=warm.interrupt[1])
+                yield Stop(REFERENCE_POSE, posture, reference.via, wanted.targets, wait=warm.interrupt[1])
                 moved = 0.0
     for _ in range(round(warm.cool * 3600.0 / warm.every) if warm.cool else 0):
-        yield Stop(REFERENCE, posture, reference.via, wanted.targets, wait=max(warm.every - pause, 0.0))
+        yield Stop(REFERENCE_POSE, posture, reference.via, wanted.targets, wait=max(warm.every - pause, 0.0))

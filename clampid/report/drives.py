@@ -9,7 +9,7 @@ import pandas as pd
 
 from clampid.charts import Axis, Cells, Chart, Line, Mark, Panel, Points, thin
 from clampid.display import Scale, number, with_std
-from clampid.fitting.solve import clamping_offsets
+from clampid.fitting.prior_and_start import clamping_offsets
 from clampid.models.drives import Drives, drives_of
 from clampid.report.stage_data import StageData
 from clampid.report.style import Figure, Section, Table, as_table

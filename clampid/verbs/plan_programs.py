@@ -16,7 +16,7 @@ from clampid.verbs.plan_options import Acceleration, PlanFile, Surroundings, nam
 from clampid.verbs.plan_screen import begin, finish, refusals
 
 if TYPE_CHECKING:
-    from clampid.planning.returns import Returns
+    from clampid.planning.returns import ReturnWishes
     from clampid.stages.rows import Array
     from clampid.verbs.units import Units
     from experiments.plans.model import Cell
@@ -50,9 +50,9 @@ class Measuring:
     speed: Annotated[float, typer.Option(metavar="SHARE", help="Share of the top speeds.")] = 0.5
     measure_time: Annotated[float, typer.Option(metavar="S", help="Time for each target, seconds.")] = 3.0
 
-    def returns(self, cell: Cell, units: Units, way: str, one_side: bool) -> Returns:
+    def returns(self, cell: Cell, units: Units, way: str, one_side: bool) -> ReturnWishes:
         """As the planner takes it."""
-        from clampid.planning.returns import Returns
+        from clampid.planning.returns import ReturnWishes
         from clampid.planning.visiting import Approach
         from experiments.plans.errors import PlanError
 
@@ -61,7 +61,7 @@ class Measuring:
         angle = 0.05 if self.approach is None else units.radians(self.approach)
         names = names_of(self.targets) or (next(iter(cell.targets)),)
         last = Approach(angle, self.last_move, self.speed)
-        return Returns(_three("--way", numbers_of("--way", way)), names, one_side, last, self.measure_time)
+        return ReturnWishes(_three("--way", numbers_of("--way", way)), names, one_side, last, self.measure_time)
 
 
 def iso9283(
@@ -117,7 +117,7 @@ def line(
     with refusals():
         import numpy as np
 
-        from clampid.planning.returns import off_line, plan_line
+        from clampid.planning.returns import line_deviation, plan_line
 
         cell, limits, assumed = where.cell(acceleration)
         ends = np.array(
@@ -127,7 +127,7 @@ def line(
         made = plan_line(
             cell, limits, where.scene(cell), wanted, ends, stops=stops, repetitions=repetitions, assumed=assumed
         )
-        between, travelled = off_line(made, wanted.targets[0])
+        between, travelled = line_deviation(made, wanted.targets[0])
         notes = (
             f"Between stops, {wanted.targets[0]} leaves the line by at most {length(between)}.",
             f"In the last moves (--approach) it leaves the line by at most {length(travelled)}.",

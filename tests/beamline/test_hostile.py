@@ -24,14 +24,17 @@ from offline_ik.inverse.detector import Detector
 from offline_ik.server.client import Limits
 
 GOOD = b"robot id=good\n"
-COUNTS = [pytest.param(3000, id="some"), pytest.param(100_000, id="all", marks=pytest.mark.slow)]
+MANY = [
+    pytest.param(20_000, id="many", marks=pytest.mark.slow),
+    pytest.param(100_000, id="all", marks=pytest.mark.study),
+]
 
 
 def megabytes(process: int | None = None) -> float:
     return float(psutil.Process(process or os.getpid()).memory_info().rss / 1e6)
 
 
-@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("count", [pytest.param(3000, id="some"), *MANY])
 def test_hostile_lines_move_nothing(count: int, detector: Detector) -> None:
     """Without hello, and with it: what moves is a good move only, and there is none among these."""
     link, rng = MemoryLink(), np.random.default_rng(0)
@@ -116,7 +119,7 @@ def knock(port: int, count: int) -> None:
         one.close()
 
 
-@pytest.mark.parametrize("count", [pytest.param(300, id="some"), COUNTS[1]])
+@pytest.mark.parametrize("count", [pytest.param(300, id="some"), *MANY])
 def test_hostile_bytes_to_the_tango_port_move_nothing(count: int, serving: Serving, link: MemoryLink) -> None:
     pytest.importorskip("tango")
     port = free_port()
@@ -131,7 +134,7 @@ def test_hostile_bytes_to_the_tango_port_move_nothing(count: int, serving: Servi
     assert not link.sent
 
 
-@pytest.mark.parametrize("count", [pytest.param(300, id="some"), COUNTS[1]])
+@pytest.mark.parametrize("count", [pytest.param(300, id="some"), *MANY])
 def test_hostile_bytes_to_the_epics_port_move_nothing(count: int, serving: Serving, link: MemoryLink) -> None:
     pytest.importorskip("caproto")
     port = free_udp_and_tcp()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -46,9 +46,15 @@ def read(folder: Path, **changed: Any) -> Campaign:
     return read_campaign(write(folder / "c", poses(), header))
 
 
-def clampid(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    call = [sys.executable, "-m", "clampid", *map(str, arguments)]
-    return subprocess.run(call, capture_output=True, text=True, check=False)
+Clampid = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def clampid(program: Path) -> Clampid:
+    def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([program, *map(str, arguments)], capture_output=True, text=True, check=False)
+
+    return run
 
 
 def test_statements_are_read_and_survive_writing(tmp_path: Path) -> None:
@@ -77,7 +83,7 @@ def test_nothing_stated_is_nothing_known(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_was_stated_is_reported(tmp_path: Path) -> None:
+def test_what_was_stated_is_reported(tmp_path: Path, clampid: Clampid) -> None:
     campaign = read(tmp_path, **STATED)
     found = holdings(campaign)["stated"]
     assert found["base"]["rpy_std_rad"] == [1e-4, 1e-4, None]
@@ -140,7 +146,7 @@ def test_what_cannot_be_meant_is_refused(tmp_path: Path, wrong: dict[str, Any], 
 
 
 @pytest.mark.slow
-def test_an_unknown_section_ends_the_program_with_2(tmp_path: Path) -> None:
+def test_an_unknown_section_ends_the_program_with_2(tmp_path: Path, clampid: Clampid) -> None:
     found = clampid("check", write(tmp_path / "c", poses(), HEADER | {"bases": BASE}))
     assert found.returncode == 2
     assert "did you mean 'base'?" in found.stderr

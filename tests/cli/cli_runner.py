@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 
@@ -30,3 +33,16 @@ class Ran:
 
 
 Clampid = Callable[..., Ran]
+
+
+def runs_of(program: Path) -> Clampid:
+    """Give a function that runs a command at 120 columns with the arguments that it is given."""
+
+    def run(*arguments: str | Path, cwd: Path | None = None) -> Ran:
+        done = subprocess.run(
+            [program, *map(str, arguments)],
+            cwd=cwd, capture_output=True, text=True, timeout=600, check=False, env={**os.environ, "COLUMNS": "120"},
+        )  # fmt: skip
+        return Ran(done.returncode, done.stdout, done.stderr)
+
+    return run

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from cli_runner import Clampid, Ran
+from cli_runner import Clampid, runs_of
+from program_server import INSTALLED
 
 from experiments.simulate import simulate
 
 
 @pytest.fixture(scope="session")
-def clampid() -> Clampid:
-    """Run the command as a user does: the installed entry point, in a process of its own."""
-    program = Path(sys.executable).with_name("clampid")
+def clampid(program: Path) -> Clampid:
+    """Run the command in a process of its own, which another one has imported for it."""
+    return runs_of(program)
 
-    def run(*arguments: str | Path, cwd: Path | None = None) -> Ran:
-        done = subprocess.run(
-            [program, *map(str, arguments)],
-            cwd=cwd, capture_output=True, text=True, timeout=600, check=False, env={**os.environ, "COLUMNS": "120"},
-        )  # fmt: skip
-        return Ran(done.returncode, done.stdout, done.stderr)
 
-    return run
+@pytest.fixture(scope="session")
+def installed() -> Clampid:
+    """Run the installed entry point itself, as a user does: modules, hashes of strings and signals are its own."""
+    return runs_of(INSTALLED)
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ import io
 import json
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import pytest
 import typer
 
 from clampid.cli import app, run
+from clampid.loop.demo import demo
 from clampid.verbs.streams import any_encoding, spelt
 from experiments.campaign import write_campaign
 from experiments.simulate import simulate
@@ -200,6 +202,8 @@ def test_help_is_said(verb: str, encoding: str, monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", LONG)
 def test_a_verb_of_minutes_does_the_same(verb: str, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The demo with fewer poses, as its words are the same; that of all its poses is run by test_demo."""
+    monkeypatch.setattr("clampid.loop.demo.demo", partial(demo, poses=60))
     code, out, err = printed([verb, *(part.format(f"{verb}-ö") for part in LONG[verb])], "ascii", monkeypatch)
     assert code == 0, err
     assert len(out.split()) > 10

@@ -13,7 +13,7 @@ from clampid.catalogue import catalogue
 from clampid.effect import Stage
 from clampid.fitting.descent import inverse_of
 from clampid.fitting.fit import fit
-from clampid.fitting.solve import prior_of
+from clampid.fitting.prior_and_start import prior_of
 from clampid.identification.carried import carried_drives, prior_from
 from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import stage_rows

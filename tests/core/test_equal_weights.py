@@ -15,8 +15,9 @@ from clampid.fitting.accuracy import predicted
 from clampid.fitting.equal_weights import RINGING, Weights, gradient_power, informed
 from clampid.fitting.fit_log import LogNoise, LogPrior, weighted
 from clampid.fitting.moments import Moments
+from clampid.fitting.prior_and_start import prior_of
 from clampid.fitting.priors import description_priors
-from clampid.fitting.solve import limits_of, prior_of
+from clampid.fitting.solve import limits_of
 from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import effects_in, identify, stage_rows
 from clampid.identification.identify_log import FittedLog, LogStage

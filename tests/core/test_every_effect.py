@@ -13,7 +13,7 @@ import clampid.effects
 from clampid.catalogue import catalogue
 from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC
 from clampid.effect import UNITS, Effect, Stage
-from clampid.fitting.solve import clamping_offsets
+from clampid.fitting.prior_and_start import clamping_offsets
 from clampid.slots import find_parameter, slots_of
 from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.rows import Rows

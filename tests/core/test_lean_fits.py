@@ -19,7 +19,8 @@ from clampid.fitting.descent import Chord, Limits, descend
 from clampid.fitting.fit import fit
 from clampid.fitting.noise import learn_noise
 from clampid.fitting.parted_log import PartedLog
-from clampid.fitting.solve import prior_of, solve, stage_point
+from clampid.fitting.prior_and_start import prior_of
+from clampid.fitting.solve import solve, stage_point
 from clampid.identification.fitted_stage import active_slots
 from clampid.identification.identify import stage_rows
 from clampid.slots import Term

@@ -15,7 +15,7 @@ from virtual_arms import arm
 
 from clampid.catalogue import catalogue
 from clampid.fitting.log_springs import spring_torques, springs
-from clampid.fitting.solve import prior_of
+from clampid.fitting.prior_and_start import prior_of
 from clampid.identification.carried import carried_over
 from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import identify, stage_rows, standard_effects

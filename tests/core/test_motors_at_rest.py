@@ -12,7 +12,7 @@ from scipy import stats
 from clampid.catalogue import catalogue
 from clampid.fitting.motors_at_rest import _middle, other_crossings
 from clampid.fitting.noise import initial_noise
-from clampid.fitting.solve import prior_of
+from clampid.fitting.prior_and_start import prior_of
 from clampid.identification.fitted_stage import active_slots
 from clampid.identification.identify import identify
 from clampid.slots import parse_term

@@ -11,7 +11,8 @@ from virtual_arms import ARMS, arm
 
 import clampid.fitting.rest_friction
 from clampid.evidence.space import space_of
-from clampid.fitting.rest_friction import _cost, _Profile
+from clampid.fitting.friction_profile import FrictionProfile
+from clampid.fitting.rest_friction import _cost
 from clampid.fitting.solve import solve
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
@@ -60,7 +61,7 @@ def test_friction_profile_equals_fits_with_the_friction_fixed():
     campaign, model = robot_and_model()
     estimate = on_campaign(model, campaign).refit("poses").estimate
     k = estimate.slots.index(Slot("wrist_coupling_friction", "F", "joint5"))
-    profile = _Profile.of(estimate, k)
+    profile = FrictionProfile.of(estimate, k)
     best = int(np.argmin(profile.cost))
     assert abs(profile.value[best] - estimate.theta[k]) < 0.5
     off = (profile.theta[best] - estimate.theta) / estimate.std

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import runpy
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist
 MEASURED = ("x", "std_x", "y", "std_y", "z", "std_z", "rx", "std_rx", "ry", "std_ry", "rz", "std_rz")
 
 
-def test_the_mapping_of_the_public_file_gives_poses_in_si(tmp_path: Path) -> None:
+def test_the_mapping_of_the_public_file_gives_poses_in_si(program: Path, tmp_path: Path) -> None:
     mapping = re.search(
         r"<!-- file: (ur10\.toml) -->\n```toml\n(.*?)```", TUTORIAL.read_text(encoding="utf-8"), re.DOTALL
     )
@@ -39,8 +38,8 @@ def test_the_mapping_of_the_public_file_gives_poses_in_si(tmp_path: Path) -> Non
         numbers = [2.02103e13, *angles, 20.7, *(n for value in (*mm, *degrees) for n in (value, 0.001))]
         rows.append(";".join(f"{number:.10g}".replace(".", ",") for number in numbers))
     (tmp_path / "measurements_iso_cubes.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    program = [sys.executable, "-m", "clampid", "import", "ur10.toml", "-o", "ur10_series_d"]
-    done = subprocess.run(program, cwd=tmp_path, capture_output=True, text=True, check=False)
+    words = [program, "import", "ur10.toml", "-o", "ur10_series_d"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     table = read_campaign(tmp_path / "ur10_series_d").tables["poses"]
     np.testing.assert_allclose(table[[f"q{k}_rad" for k in range(1, 7)]], q, atol=1e-9)

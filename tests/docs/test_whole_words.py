@@ -6,18 +6,20 @@ program prints at 80 columns stands, word for word, in what it prints on a scree
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
-import subprocess
-import sys
+import shutil
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import pytest
+from recorded_runs import RecordedRuns
 from recorded_screens import PAGE, simulated_part
 
-from clampid.screen import HEIGHT, WIDTH
+from clampid import screen
+from clampid.cli import run
+from clampid.screen import HEIGHT, WIDTH, laid_out
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -25,13 +27,6 @@ BLOCK = re.compile(r"^```(?:console|text)\n(?P<text>\$ .*?)^```$", re.DOTALL | r
 TYPED = re.compile(r"\$ (?:.*\\\n)*.*\n")
 LETTERS = re.compile(r"[^\W\d_]+")
 ENDLESS = 10_000  # columns and lines: more than any screen of ours has
-UNWRAPPED = f"""
-import clampid.screen as screen
-screen.WIDTH = {ENDLESS}
-screen.laid_out.__defaults__ = {ENDLESS}, {ENDLESS}
-from clampid.cli import main
-main()
-"""
 
 
 def screens(markdown: str) -> list[tuple[str, str]]:
@@ -92,38 +87,57 @@ def on_a_line(text: str) -> str:
     return f" {' '.join(text.split())} "
 
 
-def printed(program: list[str], columns: int, folder: Path) -> str:
-    """Give what a command prints on a terminal of so many columns."""
-    env = {**os.environ, "COLUMNS": str(columns)}
-    done = subprocess.run(program, cwd=folder, env=env, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
-    return done.stdout
+Wide = Callable[[str, Path], str]
 
 
-def lines_not_of_whole_words(command: str, folder: Path) -> list[str]:
+@pytest.fixture
+def wide(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Wide:
+    """Give what a command prints in a folder on a screen on which no line has to end."""
+
+    def printed(command: str, folder: Path) -> str:
+        monkeypatch.chdir(folder)
+        monkeypatch.setenv("COLUMNS", str(ENDLESS))
+        monkeypatch.setattr(screen, "WIDTH", ENDLESS)
+        monkeypatch.setattr(laid_out, "__defaults__", (ENDLESS, ENDLESS))
+        capsys.readouterr()
+        assert run(shlex.split(command)[1:]) == 0, command
+        return capsys.readouterr().out
+
+    return printed
+
+
+def lines_not_of_whole_words(command: str, folder: Path, recorded: RecordedRuns, wide: Wide) -> list[str]:
     """Give the lines of a command's screen that do not stand in it where no line has to end."""
-    words = shlex.split(command)[1:]
-    narrow = printed([str(Path(sys.executable).parent / "clampid"), *words], WIDTH, folder)
-    wide = on_a_line(printed([sys.executable, "-c", UNWRAPPED, *words], ENDLESS, folder))
+    copy = shutil.copytree(folder, folder.with_name("copy"), symlinks=True)
+    narrow, whole = recorded(command, folder), on_a_line(wide(command, copy))
+    shutil.rmtree(copy)
     joined = narrow.replace(",\\\n", ",")  # a list of terms goes on in the first column
     lines = [line.removesuffix(" \\") for line in joined.splitlines() if line.strip()]
-    return [line for line in lines if on_a_line(line) not in wide and not line.endswith("more: --verbose")]
+    return [line for line in lines if on_a_line(line) not in whole and not line.endswith("more: --verbose")]
 
 
 @pytest.mark.parametrize(
     "command",
     ["clampid robots staubli_tx40", "clampid effects", "clampid effects gear_eccentricity", "clampid robots"],
 )
-def test_each_line_stands_in_the_text_before_it_was_wrapped(command: str, tmp_path: Path) -> None:
-    assert lines_not_of_whole_words(command, tmp_path) == []
+def test_each_line_stands_in_the_text_before_it_was_wrapped(
+    command: str, recorded: RecordedRuns, wide: Wide, tmp_path: Path
+) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    assert lines_not_of_whole_words(command, folder, recorded, wide) == []
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_each_line_of_the_recorded_screens_stands_in_the_text_before_it_was_wrapped(tmp_path: Path) -> None:
+def test_each_line_of_the_recorded_screens_stands_in_the_text_before_it_was_wrapped(
+    recorded: RecordedRuns, wide: Wide, tmp_path: Path
+) -> None:
     simulated, first = simulated_part()
-    printed([str(Path(sys.executable).parent / "clampid"), *shlex.split(first)[1:]], WIDTH, tmp_path)
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    recorded(first, folder)
     commands = [command for command, _ in screens(simulated) if not command.startswith("clampid serve")]
     assert len(commands) > 10
     for command in commands:
-        assert lines_not_of_whole_words(command, tmp_path) == [], command
+        assert lines_not_of_whole_words(command, folder, recorded, wide) == [], command

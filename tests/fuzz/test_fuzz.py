@@ -95,7 +95,7 @@ def test_compiled_readers_survive_spoilt_files() -> None:
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("seed", [8, 12], ids=["first half", "second half"])
 def test_each_reader_reads_or_refuses_its_share_of_spoilt_files(seed: int) -> None:
-    """5000 of each reader in two halves, which two workers share; 50 of what goes on to work with a file."""
+    """2000 of each reader in two halves, which two workers share; 50 of what goes on to work with a file."""
     fuzzed("share", seed)
 
 
@@ -106,24 +106,14 @@ def test_each_reader_reads_or_refuses_ten_thousand_spoilt_files() -> None:
 
 
 @pytest.mark.slow
-def test_verbs_answer_spoilt_inputs_in_one_line() -> None:
-    fuzzed(6, 9, program="verbs.py")
-
-
-@pytest.mark.slow
 def test_verbs_answer_hundreds_of_spoilt_inputs_in_one_line() -> None:
-    fuzzed(70, 10, program="verbs.py")
+    fuzzed(30, 10, program="verbs.py")
 
 
 @pytest.mark.study
 @pytest.mark.timeout(7200)
 def test_verbs_answer_a_thousand_spoilt_inputs_in_one_line() -> None:
     fuzzed(130, 17, program="verbs.py")
-
-
-@pytest.mark.slow
-def test_calls_that_cannot_be_meant_are_refused_in_one_line() -> None:
-    fuzzed(2, 13, program="calls.py")
 
 
 @pytest.mark.slow

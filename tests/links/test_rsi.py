@@ -99,7 +99,9 @@ def test_what_is_no_cycle_is_counted(listener: RsiLink, data: bytes) -> None:
     assert listener.counts.received == 1
 
 
-@pytest.mark.parametrize("count", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "count", [2000, pytest.param(20_000, marks=pytest.mark.slow), pytest.param(100_000, marks=pytest.mark.study)]
+)
 def test_spoilt_datagrams_over_the_socket_keep_no_cycle_out(count: int, listener: RsiLink) -> None:
     rng = random.Random(3)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as rude:

@@ -161,7 +161,9 @@ def test_a_rate_that_is_none_is_refused() -> None:
         connect(LinkAddress("rtde", "127.0.0.1", 9, {"rate": "1000"}))
 
 
-@pytest.mark.parametrize("count", [300, pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "count", [300, pytest.param(20_000, marks=pytest.mark.slow), pytest.param(100_000, marks=pytest.mark.study)]
+)
 def test_spoilt_packages_are_errors_and_nothing_else(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each to the reader of a connection: errors of the link's own kinds, or statuses of finite numbers."""
     from experiments.links import rtde

@@ -8,12 +8,13 @@ import re
 import signal
 import socket
 import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from ik_arms import drawn_model
+from program_server import INSTALLED
 from typer.testing import CliRunner
 
 from clampid.cli import app
@@ -22,16 +23,22 @@ from clampid.models.model import save_model
 from offline_ik.inverse.assumed import assumed_in_words
 from offline_ik.inverse.opening import open_detector
 
-CLAMPID = Path(sys.executable).parent / "clampid"
+Run = Callable[..., subprocess.CompletedProcess[str]]
 PLACE = ("--gamma", "0.3", "--delta", "0.2", "--r", "0.8")
 
 
-def run(*args: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([str(CLAMPID), *map(str, args)], capture_output=True, text=True, check=False, timeout=300)
+@pytest.fixture
+def run(program: Path) -> Run:
+    def called(*args: object) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([program, *map(str, args)], capture_output=True, text=True, check=False, timeout=300)
+
+    return called
 
 
 @pytest.mark.slow
-def test_ik_gives_angles_for_people_and_for_programs(model_file: Path, cell_file: Path, tmp_path: Path) -> None:
+def test_ik_gives_angles_for_people_and_for_programs(
+    model_file: Path, cell_file: Path, tmp_path: Path, run: Run
+) -> None:
     out = tmp_path / "ik.json"
     near = "0.1,-1.2,1.2,0.1,0.4,0"
     done = run(
@@ -102,7 +109,7 @@ def test_ik_says_how_far_off_in_every_direction_and_what_of_the_way_was_checked(
     assert path["checked"] == "way"
 
 
-def test_ik_reports_inputs_unused_by_the_model(cell_file: Path, tmp_path: Path) -> None:
+def test_ik_reports_inputs_unused_by_the_model(cell_file: Path, tmp_path: Path, run: Run) -> None:
     model, out = tmp_path / "cold.json", tmp_path / "ik.json"
     save_model(drawn_model(effects=("geometry",)), model)
     done = run("ik", model, *PLACE, "--cell", cell_file, "--json", out)
@@ -114,7 +121,7 @@ def test_ik_reports_inputs_unused_by_the_model(cell_file: Path, tmp_path: Path) 
 
 @pytest.mark.slow
 def test_ik_checks_every_way_and_says_where_the_nearest_is_refused(
-    model_file: Path, cell_file: Path, tmp_path: Path
+    model_file: Path, cell_file: Path, tmp_path: Path, run: Run
 ) -> None:
     out = tmp_path / "ik.json"
     asked = ("--gamma", "0.3", "--delta", "0.2", "--r", "0.4", "--near=0.5,-0.2,1.2,3,-1.4,0", "--cell", cell_file)
@@ -134,7 +141,7 @@ def test_ik_checks_every_way_and_says_where_the_nearest_is_refused(
 
 
 @pytest.mark.slow
-def test_ik_without_a_cell_says_what_it_assumes(model_file: Path) -> None:
+def test_ik_without_a_cell_says_what_it_assumes(model_file: Path, run: Run) -> None:
     done = run("ik", model_file, *PLACE, "--json", "-")
     assert done.returncode == 0, done.stderr
     assert "assumed, because no cell file states it:\n" in done.stderr
@@ -157,7 +164,7 @@ def test_ik_without_a_cell_says_what_it_assumes(model_file: Path) -> None:
         ((*PLACE, "--cell", "no-such-cell.toml"), "no-such-cell.toml"),
     ],
 )
-def test_bad_input_is_one_clear_line_and_exit_2(model_file: Path, place: tuple[str, ...], says: str) -> None:
+def test_bad_input_is_one_clear_line_and_exit_2(model_file: Path, place: tuple[str, ...], says: str, run: Run) -> None:
     done = run("ik", model_file, *place, "--json", "-")
     assert done.returncode == 2, done.stderr
     assert says in done.stderr
@@ -165,7 +172,7 @@ def test_bad_input_is_one_clear_line_and_exit_2(model_file: Path, place: tuple[s
     assert "Traceback" not in done.stderr
 
 
-def test_a_model_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_a_model_that_is_none_is_refused(tmp_path: Path, run: Run) -> None:
     path = tmp_path / "model.json"
     path.write_text("{}", encoding="utf-8")
     done = run("ik", path, *PLACE)
@@ -174,7 +181,7 @@ def test_a_model_that_is_none_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_out_of_reach_is_said_with_the_nearest(model_file: Path, cell_file: Path) -> None:
+def test_out_of_reach_is_said_with_the_nearest(model_file: Path, cell_file: Path, run: Run) -> None:
     done = run("ik", model_file, "--gamma", "0.3", "--delta", "0.2", "--r", "3", "--cell", cell_file)
     assert done.returncode == 0
     assert "The robot cannot put the detector there." in done.stdout
@@ -184,7 +191,7 @@ def test_out_of_reach_is_said_with_the_nearest(model_file: Path, cell_file: Path
 
 @pytest.mark.slow
 def test_serve_answers_until_interrupted(model_file: Path, cell_file: Path) -> None:
-    command = [str(CLAMPID), "serve", str(model_file), "--cell", str(cell_file), "--listen", "127.0.0.1:0"]
+    command = [str(INSTALLED), "serve", str(model_file), "--cell", str(cell_file), "--listen", "127.0.0.1:0"]
     env = {**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "80"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env) as server:
         try:
@@ -235,14 +242,16 @@ def test_what_is_assumed_is_counted_and_only_what_is_assumed_is_named(assumed: t
         (("--link", "abb://127.0.0.1:1"), "eki"),
     ],
 )
-def test_serve_refuses_what_it_cannot_do(model_file: Path, args: tuple[str, ...], says: str) -> None:
+def test_serve_refuses_what_it_cannot_do(model_file: Path, args: tuple[str, ...], says: str, run: Run) -> None:
     done = run("serve", model_file, *args)
     assert done.returncode == 2
     assert says in done.stderr
 
 
 @pytest.mark.slow
-def test_degrees_and_millimetres_are_the_same_position(model_file: Path, cell_file: Path, tmp_path: Path) -> None:
+def test_degrees_and_millimetres_are_the_same_position(
+    model_file: Path, cell_file: Path, tmp_path: Path, run: Run
+) -> None:
     """Given and printed in them; what programs get stays in radians and metres."""
     found = []
     near = np.array([0.1, -1.2, 1.2, 0.1, 0.4, 0.0])
@@ -267,6 +276,6 @@ def test_degrees_and_millimetres_are_the_same_position(model_file: Path, cell_fi
 
 
 @pytest.mark.slow
-def test_out_of_reach_in_degrees_and_millimetres(model_file: Path, cell_file: Path) -> None:
+def test_out_of_reach_in_degrees_and_millimetres(model_file: Path, cell_file: Path, run: Run) -> None:
     done = run("ik", model_file, "--gamma", 17, "--delta", 11, "--r", 9000, "--deg", "--mm", "--cell", cell_file)
     assert re.search(r"nearest\s+gamma -?[\d.]+ deg, delta -?[\d.]+ deg, r [\d.]+ mm", " ".join(done.stdout.split()))

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.planning import choose, exchange, greedy, log_det, observability
-from clampid.planning.choose import _State, factor
+from clampid.planning.choose import _Design, factor, factors_of
 
 seeds = st.integers(0, 10_000)
 
@@ -26,7 +26,7 @@ def value(factors: np.ndarray, prior: np.ndarray, chosen: list[int]) -> float:
 @settings(max_examples=20, deadline=None)
 def test_gains_and_updates_are_what_the_determinant_does(seed: int) -> None:
     F, prior = candidates(seed), 0.1 * np.eye(7)
-    state = _State(prior)
+    state = _Design(prior)
     gains = state.gains(F)
     for k in (0, 5, 9):
         assert gains[k] == pytest.approx(value(F, prior, [k]) - log_det(prior), abs=1e-9)
@@ -36,6 +36,16 @@ def test_gains_and_updates_are_what_the_determinant_does(seed: int) -> None:
     kept = [k for k in range(8) if k != 3]
     A = prior + sum(F[k] @ F[k].T for k in kept)
     assert np.allclose(state.inverse @ A, np.eye(7), atol=1e-7)
+
+
+def test_factors_of_different_rank_give_their_matrices_back() -> None:
+    rng = np.random.default_rng(0)
+    wide, narrow = rng.standard_normal((5, 4)), rng.standard_normal((5, 1))
+    informations = [wide @ wide.T, narrow @ narrow.T]
+    F = factors_of(informations)
+    assert F.shape == (2, 5, 4)
+    assert not F[1, :, 1:].any()
+    assert np.allclose(np.einsum("cpr,cqr->cpq", F, F), informations)
 
 
 @given(seeds)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clampid.planning.returns import Cube, Returns, off_line, plan_cube, plan_fixed, plan_line
+from clampid.planning.returns import Cube, ReturnWishes, line_deviation, plan_cube, plan_fixed, plan_line
 from clampid.planning.scene import Scene
 from clampid.planning.visiting import Approach
 from clampid.planning.warm_up import WarmUp, plan_warm_up
@@ -32,8 +32,8 @@ def scene(cell: Cell) -> Scene:
     return Scene.floor_only(cell)
 
 
-def wanted(**more: object) -> Returns:
-    return replace(Returns(DOWN, ("T1",), True), **more)  # type: ignore[arg-type]
+def wanted(**more: object) -> ReturnWishes:
+    return replace(ReturnWishes(DOWN, ("T1",), True), **more)  # type: ignore[arg-type]
 
 
 def places(plan: Plan) -> dict[int, np.ndarray]:
@@ -80,8 +80,8 @@ def test_a_line_out_and_back(cell: Cell, limits: Limits, scene: Scene) -> None:
     travel = plan.visits[3].q - plan.visits[2].q
     assert np.all(plan.visits[3].direction[np.abs(travel) > 1e-4] == np.sign(travel)[np.abs(travel) > 1e-4])
     fine = plan_line(cell, limits, scene, wanted(), ENDS, stops=24, repetitions=1)
-    coarse, travelled = off_line(plan, "T1")
-    assert off_line(fine, "T1")[0] < coarse / 8  # the sagitta falls with the square of the distance
+    coarse, travelled = line_deviation(plan, "T1")
+    assert line_deviation(fine, "T1")[0] < coarse / 8  # the sagitta falls with the square of the distance
     assert travelled == pytest.approx(farthest_off(plan), abs=1e-5)  # as near as the stops are on the line
 
 
@@ -189,7 +189,10 @@ def test_the_runner_in_one_process_refuses_what_it_cannot(
         (lambda c, k, s: plan_cube(c, k, s, wanted(), Cube(CENTRE, 0.4, "e")), "plane: expected one of a, b, c, d"),
         (lambda c, k, s: plan_cube(c, k, s, wanted(), Cube(CENTRE, 0.4), cycles=0), "cycles: expected 1 or more"),
         (lambda c, k, s: plan_cube(c, k, s, wanted(targets=("T9",)), Cube(CENTRE, 0.4)), "expected some of T1, T2, T3"),
-        (lambda c, k, s: plan_cube(c, k, s, wanted(way=np.zeros(3)), Cube(CENTRE, 0.4)), "a direction for the flange"),
+        (
+            lambda c, k, s: plan_cube(c, k, s, wanted(z_axis=np.zeros(3)), Cube(CENTRE, 0.4)),
+            "a direction for the flange",
+        ),
         (lambda c, k, s: plan_line(c, k, s, wanted(), ENDS, stops=1), "stops: expected 2 or more"),
         (lambda c, k, s: plan_line(c, k, s, wanted(), ENDS[[0, 0]]), "two different ends"),
         (lambda c, k, s: plan_line(c, k, s, wanted(), ENDS, repetitions=10_000), "at most 20000 visits"),

@@ -15,7 +15,7 @@ from clampid.identification.identify import identify
 from clampid.planning.logs import torque_noise_of
 from clampid.planning.program import LogWishes
 from clampid.planning.scene import Scene
-from clampid.planning.wrist import SWING_STOPS, Fact, directions, facts, plan_wrist
+from clampid.planning.wrist import SWING_STOPS, Decoupled, decoupled_motions, plan_wrist, swing_directions
 from clampid.stages import log_facts
 from clampid.stages.motion_choice import Way
 from experiments.campaign import read_campaign
@@ -25,7 +25,7 @@ from experiments.plans.virtual import VirtualRobot, run_virtually
 from kinematics.description import load_robot
 from kinematics.transmission import Transmission
 
-ALLOWED = {Fact("motor", 4), Fact("joint", 4), Fact("motor", 5), Fact("joint", 5)}
+ALLOWED = {Decoupled("motor", 4), Decoupled("joint", 4), Decoupled("motor", 5), Decoupled("joint", 5)}
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def test_joints_at_rest_stay_at_rest_through_the_transmission(wrist: Plan) -> No
             begin, end = course.starts[start + 2], course.starts[start + 4] + course.duration[start + 4]
             q, _, _ = course.at(np.linspace(begin, end, 400))
             motor = gears.motor_from_joint(q)
-            for fact in facts(wrist.cell.robot, np.where(np.abs(reach) < 1e-12, 0.0, reach)):
+            for fact in decoupled_motions(wrist.cell.robot, np.where(np.abs(reach) < 1e-12, 0.0, reach)):
                 j = fact.joint
                 seen.add(fact)
                 if fact.kind == "motor":
@@ -88,10 +88,10 @@ def test_friction_is_set_to_a_side_before_every_swing(wrist: Plan) -> None:
 def test_facts_are_what_T_says_of_every_direction(seed: int) -> None:
     robot = load_robot("kuka_kr20_r1810")
     T = np.asarray(robot.transmission)
-    for d in directions(robot, np.random.default_rng(seed)):
-        assert set(facts(robot, d)) <= ALLOWED
+    for d in swing_directions(robot, np.random.default_rng(seed)):
+        assert set(decoupled_motions(robot, d)) <= ALLOWED
         motor = d @ np.linalg.inv(T) * np.abs(np.diag(T))
-        for fact in facts(robot, d):
+        for fact in decoupled_motions(robot, d):
             still, turning = (d, motor) if fact.kind == "motor" else (motor, d)
             assert abs(still[fact.joint]) < 1e-12
             assert abs(turning[fact.joint]) > 1e-3

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import run_session
 from adaptive_parting import trial
 from run_adaptive import CASES, adaptive
 
@@ -24,7 +25,10 @@ def test_adaptive_poses_separate_a_pair_with_half_of_what_random_ones_need(pair:
 
 
 @pytest.mark.slow
-def test_a_run_over_sockets_measures_more_and_says_what_became_of_the_pair(tmp_path: Path) -> None:
+def test_a_run_over_sockets_measures_more_and_says_what_became_of_the_pair(
+    program: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_session, "PROGRAM", (program,))
     found = adaptive(tmp_path, CASES["arm"], 20)
     first, *later = found["adaptive"]["decided"]
     planned = found["plain"]["rows"]["poses"]

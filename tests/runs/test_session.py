@@ -6,12 +6,15 @@ import json
 from pathlib import Path
 
 import pytest
-from run_session import session
+import run_session
 
 
 @pytest.mark.slow
-def test_a_hidden_effect_is_found_and_the_error_falls(tmp_path: Path) -> None:
-    found = session(tmp_path)
+def test_a_hidden_effect_is_found_and_the_error_falls(
+    program: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_session, "PROGRAM", (program,))
+    found = run_session.session(tmp_path)
     hidden = json.loads((tmp_path / "truth.json").read_text())["hidden"]
     assert [item["effect"] for item in hidden] == ["gear_eccentricity"]
     assert "poses=gear_eccentricity@joint2" in found["found"]

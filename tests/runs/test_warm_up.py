@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from run_controller import Controller
 
-from clampid.planning.returns import Returns, plan_fixed
+from clampid.planning.returns import ReturnWishes, plan_fixed
 from clampid.planning.scene import Scene
 from clampid.planning.warm_up import WarmUp, plan_warm_up
 from experiments.campaign import read_campaign
@@ -23,7 +23,7 @@ HOME = np.array([0.0, -1.3, 1.5, 0.3, 0.8, 0.0])
 
 @pytest.fixture(scope="module")
 def warm_up(cell: Cell, limits: Limits) -> Plan:
-    returns = Returns(np.array([0.0, 0.0, -1.0]), ("T1",), True, measure_time=0.5)
+    returns = ReturnWishes(np.array([0.0, 0.0, -1.0]), ("T1",), True, measure_time=0.5)
     warm = WarmUp((0,), swing=0.1, repetitions=3, every=3.0, cool=10.0 / 3600.0)
     return plan_warm_up(cell, limits, Scene.floor_only(cell), returns, warm, HOME)
 
@@ -43,7 +43,7 @@ def test_swings_are_made_and_the_reference_is_measured(controller: Controller, w
 def test_a_fixed_point_is_measured_without_a_move(
     controller: Controller, cell: Cell, limits: Limits, tmp_path: Path
 ) -> None:
-    returns = Returns(np.array([0.0, 0.0, -1.0]), ("T1",), True, measure_time=0.5)
+    returns = ReturnWishes(np.array([0.0, 0.0, -1.0]), ("T1",), True, measure_time=0.5)
     plan = plan_fixed(cell, limits, Scene.floor_only(cell), returns, HOME, readings=6, pause=1.0)
     before = len(controller.executions())
     assert run(plan, tmp_path / "C", controller.asked()).rows == {"poses": 6}

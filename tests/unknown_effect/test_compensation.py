@@ -12,7 +12,7 @@ import pytest
 from compensated_arms import compensated
 
 from clampid.comparison.compare import compare
-from clampid.comparison.compensation import compensation_of, put_right
+from clampid.comparison.compensation import compensation_of, with_actual_joint_values
 from clampid.diagnosis.diagnose import diagnose
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
@@ -89,9 +89,9 @@ def test_diagnose_points_at_the_mistake(mistake: str, model: Model, arm):
     words, poses = CASES[mistake][2], found["stages"]["poses"]
     assert (found["compensation"]["mistake"] is None) == (words is None)
     assert (words or "compensated in full") in poses["summary"]
-    assert "With the joint values to which that sent the robot: " in poses["summary"]
+    assert "With the joint values that the compensation commanded: " in poses["summary"]
     if mistake == "degrees":  # springs and weights are known to some parts in a thousand, times 57
-        assert "It multiplies errors of springs and weights by 57" in poses["summary"]
+        assert "The mistake multiplies errors of springs and weights by 57" in poses["summary"]
     else:  # what it did to the points is called nothing else
         assert poses["verdict"] == "adequate"
         assert poses["heldout_rms_before"] < 1.2 * poses["noise_floor"]
@@ -105,8 +105,8 @@ def test_a_campaign_is_put_right(mistake: str, left: float, model: Model, arm):
     found, nothing = compensation_of(sent), compensation_of(asked)
     assert found is not None
     assert nothing is not None
-    assert put_right(asked, nothing) is None
-    right = put_right(sent, found)
+    assert with_actual_joint_values(asked, nothing) is None
+    right = with_actual_joint_values(sent, found)
     assert right is not None
     clean, raw, mended = (
         np.sqrt(np.mean(np.sum(opened.refit("poses").estimate.residual[:, :3] ** 2, axis=1)))

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from clampid.catalogue import catalogue, with_user_effects
 from clampid.diagnosis.effect_new import effect_module, effect_new, effect_text
 from clampid.effect import EffectError, Stage
-from clampid.fitting.solve import clamping_offsets
+from clampid.fitting.prior_and_start import clamping_offsets
 from clampid.identification.identify import stage_rows
 from clampid.slots import slots_of
 from clampid.stages.fit_problem import FitProblem, fit_problem

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import subprocess
-import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -93,14 +93,20 @@ def test_the_band_holds_the_true_curve_as_often_as_it_says(clean):
     assert stats.binom.sf(outside - 1, 40, 0.05) > 0.01, outside
 
 
-def run(*arguments: str | Path, cwd: Path) -> str:
+Run = Callable[..., str]
+
+
+@pytest.fixture
+def run(program: Path) -> Run:
     """The command as a user types it."""
-    done = subprocess.run(
-        [Path(sys.executable).with_name("clampid"), *map(str, arguments)],
-        cwd=cwd, capture_output=True, text=True, timeout=600, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+
+    def typed(*arguments: str | Path, cwd: Path) -> str:
+        words = [program, *map(str, arguments)]
+        done = subprocess.run(words, cwd=cwd, capture_output=True, text=True, timeout=600, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return typed
 
 
 def flanges(arm: IdentifiedArm, q: np.ndarray) -> np.ndarray:
@@ -111,7 +117,7 @@ def flanges(arm: IdentifiedArm, q: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_from_a_verdict_to_a_command(simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_from_a_verdict_to_a_command(simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run):
     """Something that no effect of the catalogue explains is found, drawn, made an effect, fitted, and compensated."""
     campaign = simulated("outside_third_harmonic")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
