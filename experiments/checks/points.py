@@ -43,6 +43,8 @@ UNIT_TOLERANCE = 0.25
 SMALLEST_SPREAD_M = 1e-3
 # No instrument for robots measures from farther away; 1 m in millimetres is ten times that.
 FARTHEST_M = 100.0
+FEWEST_STOPS = 4
+"""Poses from which on joints are judged: base frame and tool offset fit three positions of a target exactly."""
 # An arm out of calibration errs by a few millimetres; a wrong robot, joint order, sign or target by centimetres.
 CLEARLY_WRONG_M = 0.02
 TARGETS_WRONG_M = 0.01
@@ -93,7 +95,7 @@ def point_findings(campaign: Campaign, angles_wrong: frozenset[str], fits: bool 
         if table == "poses":
             yield from _flat(measured)
         yield from _target_distances(campaign, table, measured)
-        if table not in angles_wrong:
+        if table not in angles_wrong and campaign.tables[table]["pose"].nunique() >= FEWEST_STOPS:
             yield from _rigid_fit(campaign, table, poses, measured)
 
 

@@ -33,6 +33,16 @@ def test_good_poses_are_passed_without_a_word(campaign: Campaign) -> None:
     assert told(campaign, campaign.tables["poses"]) == []
 
 
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_few_poses_are_not_said_to_be_of_another_robot(campaign: Campaign, count: int) -> None:
+    """After the first pose of a run, with targets 0.1 m off, "wrong robot, joint order or sign?" was said."""
+    table = campaign.tables["poses"]
+    poses = sorted(table["pose"].unique())[:count]
+    targets = {name: np.array([0.1, 0.2, 0.3]) * (k - 1.0) for k, name in enumerate(sorted(campaign.targets))}
+    words = [f.message for f in told(campaign, table[table["pose"].isin(poses)], targets=MappingProxyType(targets))]
+    assert any("wrong robot" in w for w in words) == (count >= 4), words
+
+
 def test_three_targets_renamed_everywhere(campaign: Campaign) -> None:
     table = campaign.tables["poses"].copy()
     table["target"] = table["target"].map({"T1": "T2", "T2": "T3", "T3": "T1"})
