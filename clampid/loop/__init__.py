@@ -1,1 +1,1 @@
-"""The product's loop: add, undo, go on by itself, and the two worked examples of it."""
+"""The loop of identify, diagnose and add: by hand, undone, automatic, during a run, and as two worked examples."""

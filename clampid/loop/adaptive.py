@@ -1,4 +1,4 @@
-"""Further measurements that separate effects, while two of them explain the same, up to a budget."""
+"""Extend a plan during a run by measurements that separate effects with the same explanation, up to a budget."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ STAGE: Mapping[Kind, Stage] = {"free_air": "free_air", "wrist": "free_air", "cla
 
 
 class Adaptive:
-    """Decides, when a plan is done, what is measured next; says what it decided and why.
+    """When a plan is done, decides what is measured next, and gives the reason.
 
     Parameters
     ----------
     plan
         The plan that the run began with.
     before
-        What the campaign's folder contained before.
+        What the campaign's folder contained before the run.
     budget
         Visits, runs or sweeps that may be added.
     say
-        Takes a line for a person.
+        Called with each line for the user.
     seed
-        Of diagnose.
+        Of the diagnosis.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Adaptive:
         self._separating = Separating(seed, budget)
 
     def more(self, plan: Plan, entries: Sequence[Mapping[str, Any]]) -> tuple[Plan | None, str]:
-        """The plan that goes on, or None where nothing more is to be measured, and why."""
+        """The extended plan, or None if nothing more is to be measured, and the reason."""
         left = self._budget - (_length(plan) - self._length)
         try:
             campaign = _within(campaign_so_far(plan, entries, self._before), plan)
@@ -62,13 +62,19 @@ class Adaptive:
         return self._answer(grown, found.why)
 
     def _answer(self, plan: Plan | None, words: str) -> tuple[Plan | None, str]:
-        said = f"Adaptive: {words}"
-        self._say(said)
-        return plan, said
+        line = f"Adaptive: {words}"
+        self._say(line)
+        return plan, line
 
 
 def rested(proposed: NextPlan) -> Plan:
-    """The proposed plan; where the robot is to be cold, it rests before the first visit is measured."""
+    """The proposed plan. If the robot has to be cold, it rests before the first visit.
+
+    Raises
+    ------
+    PlanError
+        Nothing can be planned.
+    """
     made = proposed.plan
     if made is None:
         raise PlanError("expected a plan, found none")
@@ -79,7 +85,7 @@ def rested(proposed: NextPlan) -> Plan:
 
 
 def _within(campaign: Campaign, plan: Plan) -> Campaign:
-    """The campaign of a robot that reaches no farther than the plan lets it: what is proposed keeps to that."""
+    """The campaign with the joint limits of the plan, so that proposals stay within them."""
     ranges = zip(campaign.robot.joints, plan.limits.lower, plan.limits.upper, strict=True)
     joints = tuple(replace(joint, lower=float(lower), upper=float(upper)) for joint, lower, upper in ranges)
     return replace(campaign, robot=replace(campaign.robot, joints=joints))

@@ -1,4 +1,4 @@
-"""Adding effects: fit again with them, and say what the error was and is on held-out rows."""
+"""Add effects to a model: fit it again with them, and compare the held-out error before and after."""
 
 from __future__ import annotations
 
@@ -42,10 +42,20 @@ __all__ = ["Addition", "add", "add_steps"]
 
 @dataclass(frozen=True)
 class StageAddition:
-    """What was added in one stage, the errors before and after, and what its lack had done to the exported table.
+    """What was added in one stage, and the errors before and after.
 
-    ``change`` is that of the held-out error, with its standard error. ``left_out``: what was asked for and is not
-    identifiable once the effects before it are in the model.
+    Attributes
+    ----------
+    added
+        One entry for each effect, with its parameters, as in the JSON of ``add``.
+    before, after
+        Errors before the first round and after the last.
+    change
+        Change of the held-out error, with its standard error.
+    left_out
+        Requested terms that are not identifiable once the effects before them are in the model.
+    shift
+        By how much the lack of these effects had biased the exported DH table.
     """
 
     added: tuple[dict[str, Any], ...]
@@ -58,22 +68,22 @@ class StageAddition:
 
 @dataclass(frozen=True, repr=False)
 class Addition(Shown):
-    """What adding effects did, stage by stage."""
+    """Result of adding effects, stage by stage."""
 
     stages: Mapping[Stage, StageAddition]
 
     def title(self) -> str:
-        """What it is, in a line."""
+        """One line: which effects were added."""
         names = [entry["name"] for s in self.stages.values() for entry in s.added]
         return f"added {', '.join(dict.fromkeys(names))}"
 
     def findings(self) -> list[str]:
-        """Where the error has risen."""
+        """Where the held-out error has risen or not changed, and what was left out."""
         risen = [f"{name}: the held-out error has risen by more than its standard error." for name in self.worse]
         same = [name for name, s in self.stages.items() if s.change.within_noise]
-        said = [f"{name}: the held-out error has not changed within its standard error." for name in same]
+        unchanged = [f"{name}: the held-out error has not changed within its standard error." for name in same]
         left = [f"{name}: {left_out_text(s.left_out)}." for name, s in self.stages.items() if s.left_out]
-        return [*risen, *said, *left]
+        return [*risen, *unchanged, *left]
 
     def records(self) -> list[dict[str, Any]]:
         """The parameters that were added."""
@@ -132,19 +142,32 @@ def add(
 ) -> tuple[Model, Addition]:
     """Add effects to a model and fit it again, one effect after the other, each as a round of its own in the ledger.
 
-    Some effects are identifiable only once another is in the model, as friction is through springs. So the order
-    counts, and that of a diagnosis is the right one.
+    Some effects are identifiable only after another one is in the model, such as friction through springs. So the order
+    matters; use that of the diagnosis.
 
     Parameters
     ----------
+    model
+        A model of these campaigns.
+    campaigns
+        Those that the model was fitted on, in their order.
     terms
-        ``[STAGE=]EFFECT[@PLACE]`` each. Without a place: wherever these rows can identify it. Without a
-        stage: in every stage where the effect acts.
+        ``[STAGE=]EFFECT[@PLACE]`` each. Without a place: wherever these rows identify it. Without a stage: in every
+        stage where the effect acts.
+    seed
+        Of the held-out folds.
+    user_effects
+        File or folder with effects of your own.
+
+    Returns
+    -------
+    model, addition
+        The new model with its ledger, and what was added.
 
     Raises
     ------
     EffectError
-        An effect is unknown, does not act there, or is active already.
+        An effect is unknown, does not act there, is active already, or is not identifiable from these rows.
     ModelError
         The model does not fit the campaigns.
     """
@@ -176,17 +199,24 @@ def add_steps(
     seed: int = 0,
     user_effects: Path | None = None,
 ) -> tuple[Model, list[tuple[Stage, Step]]]:
-    """Add what a diagnosis confirmed, each step as a round of its own in the ledger, on top of those before it.
+    """Add the steps that a diagnosis confirmed, one after the other, each as a round of its own in the ledger.
+
+    Parameters
+    ----------
+    model, campaigns, seed, user_effects
+        As for :func:`add`.
+    steps
+        Stage → steps in the order in which they are added.
 
     Returns
     -------
     model, left_out
-        The steps left out are those of which no row says anything any more, once others have been added.
+        The new model, and the steps that are not identifiable once the others have been added.
 
     Raises
     ------
     EffectError
-        An effect needs something of these rows to begin with that they do not have.
+        These rows cannot give an effect the initial values that it needs.
     ModelError
         The model does not fit the campaigns.
     """
@@ -202,7 +232,7 @@ def _several(campaigns: Sequence[Campaign] | Campaign) -> list[Campaign]:
 
 @dataclass(frozen=True)
 class _Mended:
-    """A stage before and after its rounds, with errors; without a round, fitted again to what others have become."""
+    """A stage before and after its rounds, with errors. Without a round: refitted, because an earlier stage changed."""
 
     unmended: FittedStage
     fitted: FittedStage
@@ -213,14 +243,14 @@ class _Mended:
     change: Callable[[], Change]
 
     def addition(self, effects: Mapping[str, Effect]) -> StageAddition:
-        """What was added, and the errors before the first round and after the last."""
+        """Effects added, and the errors before the first round and after the last."""
         terms = [t for t in self.fitted.model.terms if t not in self.unmended.model.terms]
         left_out = tuple(term.label for step in self.left_out for term in step.terms)
         return StageAddition(_listed(self.fitted, terms, effects), self.before, self.after, self.change(), left_out)
 
 
 def _added(opened: ModelOnCampaign, steps: Mapping[Stage, Sequence[Step]], seed: int) -> dict[Stage, _Mended]:
-    """All rounds of one stage, then those of the next: poses take loads, flanks and springs from the others."""
+    """Add all steps of one stage, then those of the next: poses take loads, flanks and springs from earlier stages."""
     mended: dict[Stage, _Mended] = {}
     stages = dict(opened.stages)
     for stage in in_parts([s for s in stages_of(opened.campaigns) if s in opened.stages], str):
@@ -234,7 +264,7 @@ def _added(opened: ModelOnCampaign, steps: Mapping[Stage, Sequence[Step]], seed:
 def _stage_with(
     opened: ModelOnCampaign, stage: Stage, steps: Sequence[Step], stages: Mapping[Stage, StageModel], seed: int
 ) -> _Mended:
-    """One stage after one round a step; a round begins with the fit of the one before it, not with one of its own."""
+    """Add one step after the other to a stage. Each round starts with the fit of the round before."""
     effects, model = opened.effects, opened.stages[stage]
     before = {s: m for s, m in stages.items() if s != stage}
     held_out, carried_prior = model.held_out, model.carried_prior
@@ -252,15 +282,16 @@ def _stage_with(
         verification = verification_rows(opened.campaigns, opened.layout, stage, fitted.base_reference)
         return fitted, verification, fitted.errors(verification, seed, floor)
 
-    floor: Floor | None = None  # of all rounds that of the first fit: what is missing looks like noise in part
+    # A missing effect looks like noise in part, so later fits have lower floors. The first one makes rounds comparable.
+    floor: Floor | None = None
     active = effects_in((*model.terms, *(steps[0].terms if steps else ())), effects)
     fitted, verification, errors = begin(model, active)
     unmended, first, floor = fitted, errors, fitted.floor
-    compared = fitted  # the first fit of the rows by which the last one is judged
+    compared = fitted  # the first fit to the rows on which the last fit is judged
     rounds: list[Round] = []
     left_out: list[Step] = []
     for step in steps:
-        # Both models of a round are judged by the same rows: with inertia those in acceleration, too.
+        # Both models of a round are judged on the same rows. With inertia these include rows in acceleration.
         wanted = effects_in((*fitted.model.terms, *step.terms), effects)
         if explained(wanted) != explained(active):
             active = wanted
@@ -287,7 +318,7 @@ def _stage_with(
 def _round(
     old: StageModel, new: StageModel, before: StageErrors, after: StageErrors, evidence: Mapping[str, Any]
 ) -> Round:
-    """The line of the ledger. An effect that takes another's place finds its own places, so that it is the fit's."""
+    """A round of the ledger. Its terms are those of the fit: an effect that replaces others chooses its own places."""
     return Round(
         new.stage,
         tuple(t.label for t in new.terms),
@@ -318,7 +349,7 @@ def _model_with(opened: ModelOnCampaign, mended: Mapping[Stage, _Mended], user_e
 
 
 def _has(terms: Sequence[Term], asked: Term) -> bool:
-    """Whether a model has an effect: at its place, or wherever it acts if no place is asked for."""
+    """Whether a model has an effect at the requested place, or anywhere if none is requested."""
     return any(t.effect == asked.effect and (None in (t.place, asked.place) or t == asked) for t in terms)
 
 

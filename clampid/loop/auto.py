@@ -1,4 +1,4 @@
-"""The whole loop: identify, then diagnose and add until nothing more is confirmed."""
+"""The whole loop: identify a model, then diagnose and add until no further effect is confirmed."""
 
 from __future__ import annotations
 
@@ -30,12 +30,23 @@ def auto(
     user_effects: Path | None = None,
     progress: Progress = lambda _: None,
 ) -> tuple[Model, Diagnosis]:
-    """Identify a model, then add what diagnosis confirms.
+    """Identify a model, then add the effects that a diagnosis confirms.
+
+    Parameters
+    ----------
+    campaigns
+        One campaign, or several that are fitted together.
+    effects
+        Effects of the start model, by stage or for all stages; the standard sets by default.
+    seed, user_effects
+        Of the diagnosis and of held-out folds; file or folder with effects of your own.
+    progress
+        Called with each line for the user.
 
     Returns
     -------
     model, diagnosis
-        The mended model with its ledger, and what was found.
+        The model with the added effects and its ledger, and what the diagnosis found.
     """
     several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
     progress("identifying the start model")
@@ -52,25 +63,25 @@ def mend(
     user_effects: Path | None = None,
     progress: Progress = lambda _: None,
 ) -> tuple[Model, Diagnosis]:
-    """Add what diagnosis confirms to a model of these campaigns, each step as a round of its own in the ledger.
+    """Add the effects that a diagnosis confirms to a model, each step as a round of its own in the ledger.
 
-    Diagnosis itself adds, refits and looks again until nothing more is confirmed, so that one pass is the whole loop.
-    What these data cannot separate is not added, but where it makes no difference which of them it is: an offset of a
-    motor's torque and a friction that differs by direction are one model under two names. Where joints have one and the
-    same curve, that takes the place of one for each, in a round after those of the curves.
+    The diagnosis itself adds, refits and searches again until nothing more is confirmed, so one pass is the whole loop.
+    Effects that these data cannot separate are not added, unless all of them give the same predictions. For example, a
+    torque offset and friction that differs by direction are one model under two names. If joints share one curve, it
+    replaces the curves of the single joints, in a round after theirs. Parameters are those of :func:`auto`.
 
     Returns
     -------
     model, diagnosis
-        The mended model with its ledger, and what was found.
+        The model with the added effects and its ledger, and what the diagnosis found.
     """
     with substep("diagnosing", 0.8):
         found = diagnose(model, campaigns, seed=seed, user_effects=user_effects)
     steps: dict[Stage, list[Step]] = {}
     for stage, part in found.stages.items():
         progress(f"{stage}: {headline({stage: part.to_json()})}")
-        # Places that were tried and confirmed together stay one step: each alone need not pay for its numbers. Steps
-        # are not put together: what shows only through another (friction through springs) would be lost.
+        # Places that were confirmed together stay one step, because a single one may not justify its parameters. Steps
+        # are not merged: an effect that is identifiable only through another (friction through springs) would be lost.
         steps[stage] = [*part.in_order, *(_one_curve(c) for c in found.simpler.get(stage, ()))]
         for step in part.alike:
             others = ", ".join(dict.fromkeys(c["effect"] for c in step.evidence["confusable_with"]))
@@ -83,5 +94,5 @@ def mend(
 
 
 def _one_curve(found: Mapping[str, Any]) -> Step:
-    """The step to one curve instead of several; it is not tried on held-out rows, and its evidence are its odds."""
+    """The step from several curves to a shared one. Its evidence is its odds; it is not tested on held-out rows."""
     return Step((Term(found["name"]),), {key: found[key] for key in ("instead_of", "log_odds", "deviation")})

@@ -1,8 +1,8 @@
 """Change of a held-out error, with a standard error from pairs of whole poses or runs.
 
-Two models are judged on the same rows. Rows of one pose share its error, so that a pose is one
-observation; of a log, a run or sweep is. With d_u the sum over unit u of the squares after less those before, and n_u
-its count,
+Two models are judged on the same rows. The rows of one pose share its error, so one pose is one observation. In a log,
+one run or sweep is one observation. With d_u the sum over unit u of the squares after minus those before, and n_u its
+count,
 
     D = sum d_u / sum n_u,   var D = U/(U - 1) sum (d_u - D n_u)^2 / (sum n_u)^2
 
@@ -29,14 +29,16 @@ SAME_FIT = 1e-6  # of an error: two fits of the same model differ by less
 
 @dataclass(frozen=True)
 class Change:
-    """A held-out error before and after, of the rows that count in both; m, or units of the motors' noise.
+    """A held-out error before and after, of the rows that count in both.
 
     Attributes
     ----------
+    before, after
+        Root mean squares; m for poses, for torques in units of the motors' noise.
     std
         Standard error of ``after - before``; infinite with fewer than two poses or runs.
     units
-        Whole poses, runs or sweeps.
+        Number of whole poses, runs or sweeps.
     """
 
     before: float
@@ -46,7 +48,7 @@ class Change:
 
     @property
     def rise(self) -> float:
-        """By how much the error has risen."""
+        """The error after minus that before; negative if it has fallen."""
         return self.after - self.before
 
     @property
@@ -72,7 +74,19 @@ def change_between(
     seed: int,
     floor: Floor,
 ) -> Change:
-    """The change of a stage's held-out error from one fit to another; torques in units of ``floor``."""
+    """The change of a stage's held-out error from one fit to another.
+
+    Parameters
+    ----------
+    before, after
+        Fits of the same rows.
+    held_out
+        Numbers of the folds that no fit has seen, for each campaign.
+    verification
+        Rows of a table that no fit sees, if there is one.
+    floor
+        The noise floor, which is the unit of torques.
+    """
     (old, was), (new, now) = (unseen(f.estimate, f.rows, held_out, verification, seed) for f in (before, after))
     (size_old, counts_old), (size_new, counts_new) = size_of(old, was, floor), size_of(new, now, floor)
     both = counts_old & counts_new
@@ -81,12 +95,14 @@ def change_between(
 
 
 def paired_change(before: Array, after: Array, unit: Integers) -> Change:
-    """The change of the root mean square of errors whose squares ``(N,)`` are given before and after.
+    """The change of a root mean square, with the standard error of a ratio estimate.
 
     Parameters
     ----------
+    before, after
+        Squared errors ``(N,)``.
     unit
-        ``(N,)``: which errors belong to one observation.
+        ``(N,)``: number of the observation to which each error belongs.
     """
     found, index = np.unique(unit, return_inverse=True)
     size = np.bincount(index).astype(float)

@@ -1,10 +1,11 @@
-"""Pairs of effects of which either explains what the rows show: one of a fit, and one that could be there instead.
+"""Confusable pairs: an effect of a fit, and an absent effect that would explain the rows as well.
 
-A fit's effect and an absent one are confusable where the effect is there beyond doubt as long as the other one is
-absent, both follow the same pattern beyond what the rest of the model absorbs, and the fit with the other one instead
-is about as likely. Beyond doubt and about as likely are decided by the same odds, e^10
-(:data:`clampid.diagnosis.next_measurement.SAME`). Diagnosis itself only asks what a fit lacks: an effect of the
-standard model that takes up what another one does leaves nothing to be found.
+The two are confusable under three conditions. Without both of them, the fit's effect has strong evidence. Beyond what
+the rest of the model absorbs, both have the same pattern. The fit with the absent effect instead is about as likely.
+Evidence is strong from odds of e^10 on, and fits with smaller odds are about equally likely
+(:data:`clampid.diagnosis.next_measurement.SAME` is twice the logarithm). A diagnosis does not find such pairs, because
+it only searches for what a fit lacks: if an effect of the standard model explains what another one causes, nothing is
+left to be found.
 """
 
 from __future__ import annotations
@@ -34,23 +35,23 @@ from clampid.slots import Slot, Term
 
 __all__ = ["Confusable", "confusable_pairs", "evidence_apart", "fitted_with"]
 
-OPEN = 0.9  # of the standard deviation that its own declaration states: of less, other rows know the parameter already
+OPEN_PRIOR = 0.9  # share of the declared prior standard deviation: with less, other tables know the parameter already
 
 
 @dataclass(frozen=True)
 class Confusable:
-    """Two effects that explain the same.
+    """Two effects that explain the same rows.
 
     Attributes
     ----------
     first, second
-        What the fit has, and what could be there instead, each as scored on the fit without either.
+        The fit's effect, and the one that could replace it, each scored on the fit without both.
     without
-        That fit.
+        The fit without both.
     scale
         Standard deviation of the whitened residual of the fit with the first.
     apart
-        By how much the first is likelier than the second, twice the logarithm of the odds; negative: less likely.
+        Evidence for the first against the second: twice the logarithm of the odds.
     """
 
     first: Scored
@@ -61,22 +62,24 @@ class Confusable:
 
     @property
     def terms(self) -> tuple[Term, Term]:
-        """Of both."""
+        """The terms of both."""
         return self.first.candidate.terms[0], self.second.candidate.terms[0]
 
 
 def confusable_pairs(
     fitted: FittedStage, searched: Collection[str], before: Mapping[Stage, StageModel]
 ) -> list[Confusable]:
-    """Pairs of effects that the rows of a fit do not separate, and those of which the absent one is the likelier.
+    """Pairs of effects that the rows of a fit do not separate, or of which the absent one is the likelier.
 
-    What explains most comes first.
+    The pair whose first effect explains most comes first.
 
     Parameters
     ----------
+    fitted
+        The fit.
     searched
-        Names of the effects that are looked for in these rows. An effect that a recorded temperature supersedes is
-        looked for as well: the rows may not distinguish temperature from time.
+        Names of the effects to search for. Effects that a recorded temperature supersedes are searched as well,
+        because the rows may not distinguish temperature from time.
     before
         The stages fitted before, whose values this one takes over.
     """
@@ -99,10 +102,10 @@ def confusable_pairs(
 
 
 def evidence_apart(fitted: FittedStage, first: Term, second: Term, before: Mapping[Stage, StageModel]) -> float:
-    """By how much a fit with the first of two effects is likelier than one with the second: twice the log of the odds.
+    """Evidence for the first of two effects against the second: twice the logarithm of the odds of their fits.
 
-    Everything else of the model is fitted in both. Infinite, with the sign of the other one, where an effect comes out
-    beyond what its amplitudes can be.
+    Everything else in the model is fitted in both. If one effect's amplitude comes out beyond its bounds, the evidence
+    for the other one is infinite.
     """
     rest = [t for t in _by_place(fitted) if t not in (first, second)]
     fits = []
@@ -118,7 +121,7 @@ def evidence_apart(fitted: FittedStage, first: Term, second: Term, before: Mappi
 
 
 def fitted_with(fitted: FittedStage, more: Sequence[Term], before: Mapping[Stage, StageModel]) -> FittedStage:
-    """The same rows fitted with further effects."""
+    """Fit the same rows with further effects."""
     return _fitted_to(fitted, list(dict.fromkeys([*_by_place(fitted), *more])), before)
 
 
@@ -130,7 +133,7 @@ def _fitted_to(fitted: FittedStage, terms: Sequence[Term], before: Mapping[Stage
 
 
 def _by_place(fitted: FittedStage) -> list[Term]:
-    """The terms of a fit, place by place but for geometry, which has places that depend on each other."""
+    """The terms of a fit, one for each place; geometry stays one term, because its places depend on each other."""
     effects, out = fitted.estimate.problem.effects, []
     for term in fitted.model.terms:
         effect = effects[term.effect]
@@ -149,13 +152,13 @@ def _looked_for(effects: Mapping[str, Effect], searched: Collection[str]) -> dic
 
 
 def _own_candidates(estimate: Estimate) -> Iterator[Candidate]:
-    """What a fit has, effect by effect and place by place, as candidates of a fit without it.
+    """Each effect of a fit at each place, as a candidate for the fit without it.
 
-    Left out: geometry and masses, which every arm has; and what other rows know already.
+    Left out are geometry and masses, which every arm has, and parameters that other tables know already.
     """
     problem, effects = estimate.problem, estimate.problem.effects
     shapes, fixed, declared = problem.shapes(), problem.fixed(), problem.prior_std()
-    known = 1.0 / np.sqrt(np.maximum(np.diag(estimate.prior_precision), 1e-300)) < OPEN * declared
+    known = 1.0 / np.sqrt(np.maximum(np.diag(estimate.prior_precision), 1e-300)) < OPEN_PRIOR * declared
     groups: dict[tuple[str, str], list[int]] = {}
     for k, slot in enumerate(estimate.slots):
         if not has_role(slot, *FRAMES, *INERTIAL, effects=effects) and effects[slot.effect].event is None:
@@ -180,7 +183,7 @@ def _own_candidates(estimate: Estimate) -> Iterator[Candidate]:
 
 
 def _linear_without(estimate: Estimate, own: Candidate) -> Estimate:
-    """The fit without one of its effects, everything else fitted again, linear about the fit with it."""
+    """The fit without one of its effects: everything else is refitted to first order about the fit with it."""
     white, slots = estimate.whitened, estimate.slots
     gone: set[Slot] = {s for s in slots if (s.effect, s.place) == (own.name, own.places[0])}
     count = len(slots)
@@ -204,7 +207,7 @@ def _linear_without(estimate: Estimate, own: Candidate) -> Estimate:
 
 
 def _in_its_place(space: Space, first: Scored, others: list[Scored], effects: Mapping[str, Effect]) -> list[Scored]:
-    """Absent effects that explain what the first does, the likeliest first; of each effect and place one."""
+    """Absent effects that explain what ``first`` explains, the likeliest first; one for each effect and place."""
     alike: dict[Term, Scored] = {}
     follows = partial(canonical, first)
     for other in sorted(others, key=lambda s: -s.bic):
@@ -212,7 +215,7 @@ def _in_its_place(space: Space, first: Scored, others: list[Scored], effects: Ma
         if other.state not in ABLE or term in alike or policy.refines == first.candidate.name:
             continue
         if other.candidate.name in first.candidate.describes or first.candidate.name in other.candidate.describes:
-            continue  # a cause and its outcome stated without a cause: diagnosis names the cause
+            continue  # a cause and its symptom: the diagnosis names the cause
         if other.explained < first.explained - SAME - other.freedom or other.bic < first.bic - SAME:
             continue
         both = explained_together(space, first, other)
@@ -222,7 +225,7 @@ def _in_its_place(space: Space, first: Scored, others: list[Scored], effects: Ma
 
 
 def _beyond(estimate: Estimate, term: Term) -> bool:
-    """Whether an amplitude of a term lies beyond what it can be by more than its error."""
+    """Whether an amplitude of a term lies beyond its bounds by more than two standard errors."""
     lower, upper = estimate.problem.bounds()
     shapes = estimate.problem.shapes()
     index = [k for k, s in enumerate(estimate.slots) if Term(s.effect, s.place) == term and not shapes[k]]

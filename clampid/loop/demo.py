@@ -1,7 +1,7 @@
 """The demo: measure a virtual robot, identify, compare, diagnose, add, verify; then reveal the hidden effect.
 
 The campaign comes from the virtual robot, which hides one effect that the start model lacks. It shares no code with
-the effects. What was drawn is not shown before the end, and nothing here reads it before.
+the effects. The hidden effect is shown at the end, and nothing reads it before.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ WRITTEN = (
     "campaign", "model_standard.json", "compare_standard.json", "diagnose.json", "add.json", "model.json",
     "compare.json", "report.html", "demo.json",
 )  # fmt: skip
-"""What it writes into its folder, beside what it says it hid."""
+"""Files that it writes into its folder, besides the file that says what was hidden."""
 ROBOT = "kuka_kr20_r1810"
 FOUND = "It was found."
 ONE_OF_SEVERAL = "It is one of those that these data do not distinguish."
@@ -43,7 +43,7 @@ Working = Callable[[str], AbstractContextManager[None]]
 
 @dataclass(frozen=True)
 class DemoResult:
-    """What a demo found, and what was hidden.
+    """Result of a demo: what was found, and what was hidden.
 
     Attributes
     ----------
@@ -156,9 +156,9 @@ def demo(
 
 
 def foreign_file(out: str | Path) -> str | None:
-    """The name of something in a folder that a demo would replace and that no demo wrote; None: there is none.
+    """A file in a folder that a demo would replace although no demo wrote it; None if there is none.
 
-    An older demo is known by what it says it hid in its campaign.
+    A folder is that of an older demo if the file with the hidden effect is beside its campaign.
     """
     folder = Path(out)
     if hidden_file(folder / "campaign").is_file():
@@ -167,7 +167,7 @@ def foreign_file(out: str | Path) -> str | None:
 
 
 def _draw(seed: int) -> str:
-    """One effect; each comes once in a row of as many seeds, in an order of its own."""
+    """One effect; as many consecutive seeds as there are effects draw each of them once."""
     row, place = divmod(seed, len(DRAWN))
     return DRAWN[int(np.random.default_rng([20, row]).permutation(len(DRAWN))[place])]
 
@@ -175,7 +175,7 @@ def _draw(seed: int) -> str:
 def terms_to_add(
     diagnosis: Mapping[str, Any],
 ) -> tuple[dict[str, list[str]], dict[tuple[str, int], list[list[str]]]]:
-    """The terms that a diagnosis asks for, ``STAGE=EFFECT@PLACE``: confirmed by stage, alternatives by group of it."""
+    """Terms to add, ``STAGE=EFFECT@PLACE``: confirmed ones by stage, alternatives by stage and group."""
     confirmed: dict[str, list[str]] = {}
     alternatives: dict[tuple[str, int], list[list[str]]] = {}
     for stage, part in diagnosis["stages"].items():
@@ -192,9 +192,9 @@ def terms_to_add(
 def _mend(
     model: Model, campaign: Campaign, diagnosis: Mapping[str, Any], seed: int
 ) -> tuple[Model, dict[str, list[str]], list[Any]]:
-    """Add what is confirmed, and of alternatives that the data cannot separate the one that predicts best.
+    """Add the confirmed effects, and of inseparable alternatives the one with the smallest held-out error.
 
-    Either mends the prediction; what it is called stays open.
+    Any of the alternatives corrects the prediction; which of them is the cause stays open.
     """
     found, alternatives = terms_to_add(diagnosis)
     additions = []
@@ -211,7 +211,7 @@ def _mend(
 
 
 def _errors(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
-    """For each table what the held-out error was and is, and what noise alone would leave."""
+    """For each table the held-out error before and after, and the noise floor."""
     lines = []
     for name, table in after["tables"].items():
         unit, was = table["unit"], before["tables"][name]

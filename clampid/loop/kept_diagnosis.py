@@ -1,7 +1,7 @@
-"""A diagnosis kept beside its model, so that a report need not compute it again.
+"""A diagnosis stored beside its model, so that a report need not compute it again.
 
-``diagnose`` and ``auto`` write ``MODEL.diagnosis.json``. It names the model and the campaigns by their contents: of
-another model or other campaigns it is not taken.
+``diagnose`` and ``auto`` write ``MODEL.diagnosis.json``. It contains hashes of the model and of the campaigns, and is
+used only for these.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FORMAT = "clampid-diagnosis/1"
 
 
 def kept_file(model: Path) -> Path:
-    """Where the diagnosis of a model is kept."""
+    """Path of the file with the diagnosis of a model."""
     return model.with_suffix(".diagnosis.json")
 
 
@@ -32,7 +32,7 @@ def keep_diagnosis(model: Path, campaigns: Sequence[Campaign], diagnosis: Mappin
     Parameters
     ----------
     model
-        The model file, as it is now.
+        The model file, already written.
     diagnosis
         As the JSON of ``diagnose`` has it, without numbers that are not finite.
 
@@ -46,7 +46,7 @@ def keep_diagnosis(model: Path, campaigns: Sequence[Campaign], diagnosis: Mappin
 
 
 def kept_diagnosis(model: Path, campaign: Campaign) -> Mapping[str, Any] | None:
-    """The diagnosis of this model on this campaign, alone or with others, or None where none was kept."""
+    """The stored diagnosis of this model on this campaign, alone or with others; None if there is none."""
     try:
         data = json_of(read_text(kept_file(model)))
     except (OSError, ValueError):

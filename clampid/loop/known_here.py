@@ -1,4 +1,4 @@
-"""The parameters that the rows of a stage determine, and those known or assumed before."""
+"""Which parameters the rows of a stage identify, and which were known before."""
 
 from __future__ import annotations
 
@@ -16,41 +16,45 @@ from clampid.stages.stage_kind import known_of
 
 __all__ = ["known_before", "known_here"]
 
-AS_MUCH = 0.5
-"""Of the variance before: rows that leave no more than this at least double the information."""
+LARGEST_VARIANCE_LEFT = 0.5
+"""Share of the variance before: rows that leave no more than this at least double the information."""
 
 
 def known_here(
     stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, effects: Mapping[str, Effect]
 ) -> Bools:
-    """Which parameters ``(P,)`` these rows identify: they add at least as much information as there was before.
+    """Which parameters ``(P,)`` these rows identify: the rows at least double the information on them.
 
     Parameters
     ----------
+    stage
+        The fitted stage.
     before
-        Stages fitted before, of which this one takes values over.
+        Stages fitted before, whose values it takes over.
     rows
-        The stage's own.
+        Its rows.
+    effects
+        All known effects, by name.
     """
     std = np.sqrt(np.diag(stage.covariance))
     assumed = np.minimum(_assumed(stage, rows, effects), _carried(stage, before, rows, effects))
-    return np.asarray(np.array(stage.identified, dtype=bool) & (std**2 <= AS_MUCH * assumed**2))
+    return np.asarray(np.array(stage.identified, dtype=bool) & (std**2 <= LARGEST_VARIANCE_LEFT * assumed**2))
 
 
 def known_before(
     stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, effects: Mapping[str, Effect]
 ) -> Bools:
-    """Which parameters ``(P,)`` earlier tables or the description know better than is assumed of any robot."""
+    """Which parameters ``(P,)`` earlier tables or the description know better than their declared prior."""
     return np.asarray(_carried(stage, before, rows, effects) < _assumed(stage, rows, effects))
 
 
 def _assumed(stage: StageModel, rows: Rows, effects: Mapping[str, Effect]) -> Array:
-    """Standard deviations ``(P,)`` of what the effects' declarations assume."""
+    """Declared prior standard deviations ``(P,)``, SI."""
     return np.array([parameter_of(slot, effects, rows.robot).prior_std for slot in stage.slots])
 
 
 def _carried(stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, effects: Mapping[str, Effect]) -> Array:
-    """Standard deviations ``(P,)`` of what the description or an earlier stage says; infinite where neither does."""
+    """Standard deviations ``(P,)`` known from the description or an earlier stage, SI; infinite where from neither."""
     known: dict[object, float] = {}
     for prior in carried_over(rows, before, effects)[0]:
         known |= dict(zip(prior.slots, np.sqrt(np.diag(prior.covariance)).tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""Fits of a campaign while it is measured: the parameters identified so far, after each block, in a few lines."""
+"""Fit a campaign while it is measured, and show after each block which parameters are identified."""
 
 from __future__ import annotations
 
@@ -33,19 +33,20 @@ from experiments.runs.folder import header_of, tables_of
 __all__ = ["LiveFit", "campaign_so_far", "fit_of"]
 
 Entries = Sequence[Mapping[str, Any]]
-GROWN = 1.4  # times the rows of the last fit
-SHARE_OF_TIME = 0.2  # of the time that fits may take
-ODD = 1.3  # times the noise floor
-MOST_LINES = 10
+LEAST_ROW_RATIO = 1.4  # rows now over rows of the last fit: with fewer there is no new fit
+FIT_TIME_SHARE = 0.2  # share of the time that fits may take
+ODD_ERROR_RATIO = 1.3  # error over noise floor, from which on the residuals are called odd
+MAX_PARAMETER_LINES = 10
+MAX_UNKNOWN_SHOWN = 4
 
 
 def campaign_so_far(plan: Plan, entries: Entries, before: Campaign | None) -> Campaign:
-    """What is recorded, and what the campaign's folder contained before, as a campaign.
+    """The campaign of the rows recorded so far and of those that its folder contained before.
 
     Raises
     ------
     CampaignError
-        There are no rows yet, or they are no campaign.
+        There are no rows yet, or they do not make a valid campaign.
     """
     tables = {} if before is None else dict(before.tables)
     with temporary_folder() as place:
@@ -55,12 +56,12 @@ def campaign_so_far(plan: Plan, entries: Entries, before: Campaign | None) -> Ca
 
 
 def fit_of(campaign: Campaign) -> Model:
-    """Fit the standard effects, if ``clampid identify`` would.
+    """Fit the standard effects, as ``clampid identify`` does.
 
     Raises
     ------
     CampaignError
-        It would refuse: too few poses for the geometry, for example. What a fit says then comes from its priors.
+        The rows are not enough, such as too few poses for the geometry. A fit would then only repeat its priors.
     FitError, EffectError
         The fit cannot be made.
     """
@@ -71,18 +72,18 @@ def fit_of(campaign: Campaign) -> Model:
 
 
 class LiveFit:
-    """Called after every block; fits when there is enough new, and says what is known then.
+    """Called after every block: fits if there are enough new rows, and shows which parameters are known.
 
     Parameters
     ----------
     plan
-        Which is run.
+        The plan that is run.
     entries
-        Gives what the journal holds.
+        Returns the entries of the journal.
     before
-        What the folder contained before.
+        What the campaign's folder contained before the run.
     say
-        Takes a line for a person.
+        Called with each line for the user.
     until
         Conditions that end the run when all of them hold.
     """
@@ -102,10 +103,10 @@ class LiveFit:
         self.model: Model | None = None
 
     def finished(self, block: Block) -> str | None:
-        """Fit, if it is time; returns why the run may end, if enough is known."""
+        """Fit, if it is time. Returns why the run may end, or None if it goes on."""
         rows = sum(len(frame) for frame in tables_of(self._entries()).values())
         waited = time.monotonic() - self._last
-        if rows < GROWN * self._rows or (waited < self._took / SHARE_OF_TIME and not self._until):
+        if rows < LEAST_ROW_RATIO * self._rows or (waited < self._took / FIT_TIME_SHARE and not self._until):
             return None
         start = time.monotonic()
         try:
@@ -149,7 +150,7 @@ class LiveFit:
         head += f", {earlier.sum()} from earlier tables or the description." if earlier.any() else "."
         lines = [head, *self._parameters(stage, known)]
         last = next((entry for entry in reversed(model.ledger) if entry.stage == name), None)
-        if last is not None and last.noise_floor > 0 and last.rms > ODD * last.noise_floor:
+        if last is not None and last.noise_floor > 0 and last.rms > ODD_ERROR_RATIO * last.noise_floor:
             lines.append(
                 f"  odd: residuals are {last.rms / last.noise_floor:.1f} times the noise: an effect may be missing"
             )
@@ -157,12 +158,13 @@ class LiveFit:
             lines.append(f"  odd: {len(stage.outliers)} rows do not fit the others")
         unknown = [slot.label for slot, yes in zip(stage.slots, known | earlier, strict=True) if not yes]
         if unknown:
-            more = f" and {len(unknown) - 4} more" if len(unknown) > 4 else ""
-            lines.append(f"  still unknown, to be measured next: {', '.join(unknown[:4])}{more}")
+            rest = len(unknown) - MAX_UNKNOWN_SHOWN
+            more = f" and {rest} more" if rest > 0 else ""
+            lines.append(f"  still unknown, to be measured next: {', '.join(unknown[:MAX_UNKNOWN_SHOWN])}{more}")
         return lines
 
     def _parameters(self, stage: StageModel, known: Bools) -> list[str]:
-        """A line for each parameter but those of the geometry, which have one together; how far errors fell."""
+        """A line for each identified parameter, with its standard error before; one line for all of the geometry."""
         units = {(e.name, p.name): p.unit for e in catalogue().values() for p in e.parameters}
         std = np.sqrt(np.diag(stage.covariance))
         lines, shrunk = [], []
@@ -180,8 +182,8 @@ class LiveFit:
             lines.append(f"  {slot.label}  {with_std(float(stage.theta[k]), float(std[k]), scale)}{fell}")
         if shrunk:
             lines.insert(0, f"  geometry: {len(shrunk)} known, standard errors {np.median(shrunk):.2f} of those before")
-        rest = len(lines) - MOST_LINES
-        return lines if rest <= 0 else [*lines[:MOST_LINES], f"  … and {rest} more"]
+        rest = len(lines) - MAX_PARAMETER_LINES
+        return lines if rest <= 0 else [*lines[:MAX_PARAMETER_LINES], f"  … and {rest} more"]
 
 
 def _text(value: float, unit: str) -> str:

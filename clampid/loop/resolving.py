@@ -1,8 +1,8 @@
-"""Effects that somebody asks for: at which places the rows identify them, and where a search for them starts.
+"""Requested effects: the places at which the rows identify them, and initial values of a fit with them.
 
-A search starts as that of a diagnosis does, at one Gauss-Newton step towards the effect. Where gears may rest on either
-flank there are several minima. From another start ``add`` would end in another one, with other errors than ``diagnose``
-has said.
+The fit starts as in a diagnosis, at one Gauss-Newton step towards the effect. The cost has several minima where gears
+may rest on either flank. From another start ``add`` would end in another minimum, with other errors than ``diagnose``
+reports.
 """
 
 from __future__ import annotations
@@ -24,24 +24,28 @@ __all__ = ["Resolved", "by_effect", "resolved"]
 
 @dataclass(frozen=True)
 class Resolved:
-    """Terms place by place, where the rows identify them, and initial values of a fit with them."""
+    """The terms that the rows identify, place by place, and initial values of a fit with them, SI."""
 
     terms: tuple[Term, ...]
     start: Mapping[Slot, float]
 
 
 def by_effect(terms: Sequence[Term]) -> list[tuple[Term, ...]]:
-    """Terms by their effect, in the order in which the effects come first: a diagnosis confirms one after the other."""
+    """Terms grouped by effect, in the order of first mention: effects are added one after the other."""
     return [tuple(t for t in terms if t.effect == name) for name in dict.fromkeys(t.effect for t in terms)]
 
 
 def resolved(asked: Sequence[Term], fitted: FittedStage, effects: Mapping[str, Effect]) -> Resolved:
-    """Resolve terms on a fit without them.
+    """Find where the rows of a fit identify some effects that it does not have.
 
     Parameters
     ----------
     asked
-        With a place, or without: then wherever these rows identify the effect.
+        Requested terms. Without a place: wherever these rows identify the effect.
+    fitted
+        The fit without them.
+    effects
+        All known effects, by name.
     """
     values = fitted.model.values()
     if not asked:
@@ -50,7 +54,7 @@ def resolved(asked: Sequence[Term], fitted: FittedStage, effects: Mapping[str, E
     active = {slot.effect for slot in estimate.slots}
     out = {t: None for t in asked if effects[t.effect].aligns is not None and t.effect not in active}
     asked = [t for t in asked if effects[t.effect].aligns is None]
-    absent = {  # somebody asks for them
+    absent = {  # a request is what an opt-in effect waits for
         t.effect: replace(e, search=replace(e.search, opt_in=False)) for t in asked for e in (effects[t.effect],)
     }
     space = space_of(estimate)

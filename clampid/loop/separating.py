@@ -1,4 +1,4 @@
-"""What to measure next to distinguish effects that explain the same: the decision, and its reason in words."""
+"""Choose what to measure next to separate effects that explain the same rows, and give the reason in words."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from experiments.campaign import Campaign
 __all__ = ["Next", "Separating"]
 
 CHANCE_GIVEN_UP = (1.0 - POWER) ** 2
-"""Of a pair that is open though this was the chance of it, the model is wrong: nothing more is measured for it."""
+"""If a pair is still open although the chance of that was below this, the model is wrong: it is given up."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ class Next:
     Attributes
     ----------
     proposed
-        None: nothing more.
+        The plan; None if nothing more is measured.
     why
-        Sentences for a person.
+        Sentences for the user.
     """
 
     proposed: NextPlan | None
@@ -46,14 +46,14 @@ class Next:
 
 
 class Separating:
-    """Chooses measurements, and says what became of the pairs that earlier ones were for.
+    """Chooses measurements, and reports what became of the pairs that earlier measurements were to separate.
 
     Parameters
     ----------
     seed
-        Of diagnose.
+        Of the diagnosis.
     budget
-        How much may be measured in all, for the words.
+        Measurements that may be added in all; only used in sentences.
     """
 
     def __init__(self, seed: int = 0, budget: int = 0) -> None:
@@ -63,7 +63,16 @@ class Separating:
         self._in_vain: defaultdict[tuple[Term, Term], float] = defaultdict(lambda: 1.0)
 
     def next(self, campaign: Campaign, stage: Stage, left: int) -> Next:
-        """What to measure next, at most so much, given all that was measured.
+        """What to measure next.
+
+        Parameters
+        ----------
+        campaign
+            All rows so far.
+        stage
+            The stage to which further measurements belong.
+        left
+            Measurements that may still be added.
 
         Raises
         ------
@@ -82,7 +91,7 @@ class Separating:
         pairs: list[Confusable] = []
         if fitted is not None and found.scores is not None:
             pairs = confusable_pairs(fitted, {s.candidate.name for s in found.scores.named}, others)
-        decided = [] if fitted is None else self._became(fitted, pairs, others)
+        decided = [] if fitted is None else self._newly_decided(fitted, pairs, others)
         if left <= 0:
             return Next(None, _joined(decided, used_up))
         if found.verdict == "ambiguous" and found.next_plan is not None and found.next_plan.plan is not None:
@@ -97,14 +106,14 @@ class Separating:
         best, deciding = chosen
         self._open = list(dict.fromkeys([*(p.terms for p in pairs), *self._open]))
         for pair, chance in zip(pairs, deciding.chances.tolist(), strict=True):
-            self._in_vain[pair.terms] *= 1.0 - min(chance, POWER)  # what is expected of a wrong model is not certain
+            self._in_vain[pair.terms] *= 1.0 - min(chance, POWER)  # the model may be wrong, so no chance is certain
         words = f"{len(best.chosen)} more, because {_apart(pairs, deciding)}. {_expected(best)}"
         return Next(best, _joined(decided, words))
 
-    def _became(
+    def _newly_decided(
         self, fitted: FittedStage, pairs: Sequence[Confusable], others: Mapping[Stage, StageModel]
     ) -> list[str]:
-        """Sentences on pairs that were open and are no longer, and on those whose absent effect is the likelier."""
+        """Sentences on pairs that are no longer open, and on pairs whose absent effect is the likelier."""
         still = {p.terms for p in pairs if p.apart > -SAME}
         apart = {p.terms: p.apart for p in pairs if p.apart <= -SAME}
         gone = [two for two in self._open if two not in still and two not in apart]
@@ -120,7 +129,7 @@ def _sentence(proposed: NextPlan) -> str:
 
 
 def _with_one_of_each(fitted: FittedStage, found: StageDiagnosis, others: Mapping[Stage, StageModel]) -> FittedStage:
-    """The fit with the first of each group that diagnosis cannot decide: without any, all of them are noise."""
+    """The fit with the first effect of each undecided group: without one, what they explain would count as noise."""
     first: dict[int, list[Term]] = {}
     for c in found.candidates:
         if c["alternative"]:
@@ -134,7 +143,7 @@ def _joined(decided: Sequence[str], words: str) -> str:
 
 
 def _apart(pairs: Sequence[Confusable], deciding: Deciding) -> str:
-    """Which pairs the next measurements are likely to decide, with what chance, and how many others are open."""
+    """Pairs that the next measurements are likely to decide, with the chance, and how many others are open."""
     likely = deciding.likely(POWER)
     said = [
         f"{' and '.join(term.label for term in pairs[k].terms)} explain the same (evidence {abs(pairs[k].apart):.1f}; "
@@ -147,7 +156,7 @@ def _apart(pairs: Sequence[Confusable], deciding: Deciding) -> str:
 
 
 def _verdict(first: Term, second: Term, apart: float) -> str:
-    """What became of a pair; ``apart``: by how much the first is likelier."""
+    """The decision on a pair; ``apart`` is the evidence for the first."""
     kept, gone = (first, second) if apart > 0 else (second, first)
     if abs(apart) < SAME:
         return (
@@ -159,13 +168,13 @@ def _verdict(first: Term, second: Term, apart: float) -> str:
 
 
 def _alike(found: StageDiagnosis) -> str:
-    """The names of what diagnosis cannot distinguish; empty where it can."""
+    """Names of the effects that the diagnosis cannot distinguish; empty if there are none."""
     names = (str(c.get("name", c["effect"])) for c in found.candidates if c["alternative"])
     return " and ".join(dict.fromkeys(names))
 
 
 def _expected(proposed: NextPlan) -> str:
-    """What a proposal is, and what it brings."""
+    """What is proposed, and how much better it separates the closest pair."""
     now, then, enough = (
         f"{number(float(np.sqrt(square)), 2)} σ" for square in (proposed.before, proposed.after, ENOUGH)
     )

@@ -1,4 +1,4 @@
-"""One step back: a model without the effects of its last round, fitted again to the campaigns that it came from."""
+"""Undo the last round: the model without its effects, fitted again to the campaigns that it came from."""
 
 from __future__ import annotations
 
@@ -24,15 +24,24 @@ __all__ = ["undo"]
 def undo(
     model: Model, campaigns: Sequence[Campaign] | Campaign, *, user_effects: Path | None = None
 ) -> tuple[Model, Round]:
-    """Take back the last round that added something: the model as it was before, and the round that is gone.
+    """Remove the effects of the last round, and fit the model again.
 
-    A model file keeps one state. So the stage is fitted again, from the present values of its parameters. Where the
-    round was of another stage, the poses are fitted again, too: they take loads, flanks and springs from it.
+    A model file keeps one state, so the stage is fitted again, from the present values of its parameters. If the round
+    was of another stage, the poses are fitted again too: they take loads, flanks and springs from it.
 
     Parameters
     ----------
+    model
+        A model whose last round added something.
     campaigns
         Those that the model was fitted on, in their order.
+    user_effects
+        File or folder with effects of your own; by default that of the model.
+
+    Returns
+    -------
+    model, round
+        The model without the round, and the round.
 
     Raises
     ------
@@ -75,5 +84,5 @@ def undo(
 
 
 def _still_used(stages: Mapping[Stage, StageModel], effects: Mapping[str, Effect]) -> bool:
-    """Whether any effect of the user's own is left."""
+    """Whether the model still has an effect of the user's own."""
     return any(t.effect in effects and t.effect not in catalogue() for s in stages.values() for t in s.terms)

@@ -1,4 +1,4 @@
-"""``--until "std(backlash@joint2) < 5 arcsec"``: when enough is known."""
+"""Conditions that end a run early, such as ``--until "std(backlash@joint2) < 5 arcsec"``."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class Until:
     Attributes
     ----------
     text
-        As it was typed.
+        The condition as typed.
     effect, parameter, place
-        Of the parameter; without ``parameter`` all of that effect there.
+        Which parameter; with ``parameter`` None all of the effect at this place.
     below, unit
-        The number, SI, and the unit in which it was typed.
+        The bound, SI, and the unit in which it was typed.
     factor
-        Of that unit.
+        Of that unit: SI value of one unit.
     """
 
     text: str
@@ -52,9 +52,9 @@ class Until:
         return f"{number(value / self.factor)} {self.unit}" if math.isfinite(value) else "not known"
 
     def reached(self, model: Model) -> tuple[float, bool]:
-        """The largest standard error of what is meant, in the stage that knows it best, and whether it is enough.
+        """The largest standard error of these parameters (SI), and whether it is below the bound.
 
-        Infinite while no stage has it, or none identifies it.
+        Of several stages the one with the smallest counts. Infinite while no stage identifies the parameters.
         """
         best = math.inf
         for stage in model.stages.values():
@@ -75,7 +75,7 @@ def parse_until(text: str) -> tuple[Until, ...]:
     Raises
     ------
     PlanError
-        One of them is none, or names no effect, parameter or unit that there is.
+        A condition cannot be read, or its effect, parameter or unit is not known.
     """
     return tuple(_condition(part.strip()) for part in re.split(r"\s+and\s+", text.strip()))
 

@@ -1,8 +1,8 @@
-"""The thesis' worked example: what arm-side friction on axis 5 does at 153 mm, from a campaign with its constants.
+"""The thesis' worked example: displacement by arm-side friction on axis 5 at a lever of 153 mm.
 
-An individual of the reference robot with the springs that the thesis prints is measured on the virtual robot, its
-springs are identified from clamped sweeps, and the displacement F·C₅₅·lever is worked out for the friction that the
-thesis states, 8.03 Nm: once with spring 5 alone, C₅₅ = T₅₅²/k₅, once through the whole matrix Tᵀ·diag(1/k)·T. Source:
+A virtual robot has the springs that the thesis prints. They are identified from its clamped sweeps. The displacement
+F·C₅₅·lever is then computed for the thesis' friction of 8.03 Nm in two ways: with spring 5 alone, C₅₅ = T₅₅²/k₅, and
+with the whole matrix Tᵀ·diag(1/k)·T. Source:
 the thesis, worked example and appendix, as read in appendix_data/DERIVATION.md.
 """
 
@@ -38,7 +38,7 @@ LEVER = 0.153  # m, from axis 5 to the flange
 
 @dataclass(frozen=True)
 class WorkedExample:
-    """The example from printed constants and from the campaign measured on a robot that has them.
+    """The example with the printed constants, and with those identified from the campaign.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class WorkedExample:
 def worked_example(
     folder: str | Path, seed: int = 0, *, working: Callable[[str], AbstractContextManager[None]] | None = None
 ) -> WorkedExample:
-    """Measure the campaign on the virtual robot, identify, and work the example out.
+    """Measure the campaign on the virtual robot, identify the springs, and compute the displacements.
 
     Parameters
     ----------
