@@ -13,6 +13,7 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.comparison.compare import compare
+from clampid.display import fixed
 from clampid.effect import Effect, EffectError, Parameter
 from clampid.identification.identify import identify
 from clampid.models.model import Model, load_model, save_model
@@ -69,7 +70,7 @@ def test_outside_a_third_of_joint_2_it_says_so(whole: Campaign, model: Model):
     assert (torque["quantity"], torque["at"]) == ("gravity torque", "joint2")
     text = extrapolating_text(found["quantities"])
     assert text.startswith(f"joint 2 (angle to {np.rad2deg(angle['value']):.1f} deg, identified to ")
-    assert f"{np.rad2deg(inside.max()):.1f} deg; gravity torque " in text
+    assert f" {fixed(np.rad2deg(inside.max()), 1)} deg; gravity torque " in text
 
 
 def test_no_warning_inside_the_fitted_range(third: Campaign, model: Model):
