@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 __all__ = [
+    "MINUS",
     "Scale",
     "change_text",
     "compact",
@@ -61,7 +62,7 @@ CONSTANT = 1e-8  # of its value: a standard error below that share is none
 _PLAIN = range(-4, 7)  # powers of ten that a number is printed without
 _PLAIN_ODDS = 4  # powers of ten from which on odds are given as a power
 _THIN = "\u202f"
-_MINUS = "−"
+MINUS = "−"
 _HYPHENS = re.compile(r"(?P<kept>--[\w-]+[ =]\S+)|(?<![\w.)\]'\"=/-])-(?=\.?\d)")
 """A hyphen that is a number's sign, and options of a command with their values, which are kept to be copied."""
 
@@ -92,12 +93,12 @@ def scale_for(unit: str, values: Iterable[float]) -> Scale:
 def fixed(value: float, decimals: int) -> str:
     """A number to so many decimals, or to tens and hundreds where negative; without a negative zero."""
     text = f"{round(value, decimals):.{max(decimals, 0)}f}"
-    return text.removeprefix("-") if float(text) == 0.0 else text.replace("-", _MINUS)
+    return text.removeprefix("-") if float(text) == 0.0 else text.replace("-", MINUS)
 
 
 def true_minus(text: str) -> str:
     """A text for people in which negative numbers have a minus sign instead of a hyphen; options of commands stay."""
-    return _HYPHENS.sub(lambda found: found["kept"] or _MINUS, text)
+    return _HYPHENS.sub(lambda found: found["kept"] or MINUS, text)
 
 
 def odds_text(log_odds: float) -> str:
@@ -116,7 +117,7 @@ def number(value: float, digits: int = 3) -> str:
         return "0"
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")  # 9.996 is 10.0, not 10.00
     if int(exponent) not in _PLAIN:
-        return f"{mantissa.replace('-', _MINUS)}·10{_raised(int(exponent))}"
+        return f"{mantissa.replace('-', MINUS)}·10{_raised(int(exponent))}"
     return fixed(value, digits - 1 - int(exponent))
 
 
@@ -198,7 +199,7 @@ def change_text(change: float, std: float, unit: str) -> str:
     """``−52.9 ± 6.9 µm``: a change with its sign and its standard error; ``sigma`` is printed as σ."""
     worded, error, symbol = quantity(abs(change), std, "" if unit == "sigma" else unit)
     known = f" ± {error}" if error != "–" else ""
-    return f"{'+' if change > 0 else _MINUS}{worded}{known} {'σ' if unit == 'sigma' else symbol}".rstrip()
+    return f"{'+' if change > 0 else MINUS}{worded}{known} {'σ' if unit == 'sigma' else symbol}".rstrip()
 
 
 def span(low: float, high: float, unit: str) -> str:

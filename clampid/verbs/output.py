@@ -15,6 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clampid.display import MINUS
 from clampid.plain_json import finite
 from clampid.verbs.streams import write_result
 from experiments.targets import Kind, check_output, is_stdout
@@ -44,10 +45,16 @@ class Output:
         File for the JSON, ``-`` for stdout (which then carries nothing else), or None.
     verbose
         Whether details are printed.
+    copied
+        Whether people copy the printed numbers into programs and controllers, such as joint angles. Their minus sign is
+        then a hyphen, because few programs read another one.
     """
 
-    def __init__(self, quiet: bool = False, json: str | None = None, verbose: bool = True) -> None:
+    def __init__(
+        self, quiet: bool = False, json: str | None = None, verbose: bool = True, *, copied: bool = False
+    ) -> None:
         self.quiet, self.json = quiet, "-" if json is not None and is_stdout(json) else json
+        self.copied = copied
         self.verbose, self.said = verbose, False
         if self.json is not None and self.json != "-":
             output_file(Path(self.json), "JSON")
@@ -66,16 +73,20 @@ class Output:
         """A detail for people: whole words, on as many lines as it takes."""
         if self.verbose:
             self.said = True
-            _print(self.console, text)
+            for line in _whole_words(text, self.console.width):
+                self._line(line)
 
     def show(self, screen: Screen) -> None:
         """The screen that a verb ends in."""
         from clampid.screen import laid_out
 
         if self.said:
-            _print_line(self.console, "")
+            self._line("")
         for line in laid_out(screen, self.console.width):
-            _print_line(self.console, line.text, STYLES.get(line.tone, ""))
+            self._line(line.text, STYLES.get(line.tone, ""))
+
+    def _line(self, text: str, style: str = "") -> None:
+        _print_line(self.console, text.replace(MINUS, "-") if self.copied else text, style)
 
     def warn(self, text: str) -> None:
         """A line on stderr that --quiet does not silence."""
@@ -115,7 +126,7 @@ class Output:
         self.said = True
         lines = table_lines(columns, [list(map(str, row)) for row in rows], left, self.console.width)
         for line in ["", *([title] if title else []), *lines, ""]:
-            _print_line(self.console, line)
+            self._line(line)
 
     def result(self, data: Mapping[str, Any] | Sequence[Any]) -> None:
         """The result for programs, where it was asked for; numbers that are not finite become null."""
@@ -175,13 +186,17 @@ def _print_line(console: Console, text: str, style: str = "") -> None:
 
 
 def _print(console: Console, text: str) -> None:
-    """Print text with its words whole; what follows an indent is indented."""
+    for line in _whole_words(text, console.width):
+        _print_line(console, line)
+
+
+def _whole_words(text: str, width: int) -> Iterator[str]:
+    """Lines of whole words; what follows an indent is indented."""
     from clampid.screen import wrapped
 
     for line in text.split("\n"):
         indent = line[: len(line) - len(line.lstrip())]
-        for part in wrapped(line, console.width, rest=f"{indent}  ") or [""]:
-            _print_line(console, part)
+        yield from wrapped(line, width, rest=f"{indent}  ") or [""]
 
 
 def _console(stderr: bool, silent: bool = False) -> Console:

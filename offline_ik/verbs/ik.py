@@ -65,7 +65,7 @@ def ik(
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Give joint and motor angles for a detector position, its uncertainty, and whether the move is safe."""
-    out = Output(quiet, json, verbose)
+    out = Output(quiet, json, verbose, copied=True)
     check_previews(picture, poni)
     os.environ.setdefault("CLAMPID_COMPILER", "none")  # one answer comes sooner than its compiled kernel
     from offline_ik.cell.checks import check_directions

@@ -52,7 +52,7 @@ def sample(
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Find the scattering point from Bragg reflections found on the detector, with its standard errors."""
-    out = Output(quiet, json, verbose)
+    out = Output(quiet, json, verbose, copied=True)
     os.environ.setdefault("CLAMPID_COMPILER", "none")  # a few postures come sooner than a compiled kernel
     from offline_ik.errors import TargetError
     from offline_ik.reflections.peak_table import read_peaks, wavelength_of
