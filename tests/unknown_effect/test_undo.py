@@ -111,7 +111,7 @@ def test_the_sentence_has_units_and_errors():
         {"row": "base", "parameter": "rx", "shift": -2.2e-4, "std": 2.7e-5, "unit": "rad", "at_flange_m": 1.9e-4},
     ]
     said = (
-        "Without it the exported DH table was biased: rx of base by -220 ± 27 µrad (190 µm at the flange), "
+        "Without it the exported DH table was biased: rx of base by −220 ± 27 µrad (190 µm at the flange), "
         "d of row 3 by 45.3 ± 3.1 µm (45.3 µm at the flange)."
     )
     assert shift_in_words(shifts) == said
