@@ -83,6 +83,7 @@ def check(found: Alignment, sense: np.ndarray, phase: np.ndarray, members: int) 
     np.testing.assert_allclose(off_by(found.phase, sense[0] * (phase - phase[0])[:members]), 0.0, atol=np.radians(1.0))
 
 
+@pytest.mark.slow
 @settings(max_examples=2, deadline=None)
 @given(st.integers(0, 2**31), st.sampled_from([0.0, 3e-5]))
 def test_joints_on_one_curve_are_found_and_the_others_left(seed: int, deviation: float):
@@ -98,6 +99,7 @@ def test_joints_on_one_curve_are_found_and_the_others_left(seed: int, deviation:
         assert align(quiet).deviation == pytest.approx(deviation, rel=0.4)
 
 
+@pytest.mark.slow
 @settings(max_examples=2, deadline=None)
 @given(st.integers(0, 2**31))
 def test_different_curves_are_not_one(seed: int):
@@ -116,6 +118,7 @@ def test_turned_coefficients_are_those_of_the_turned_curve(sense: float, phase: 
     assert value(turned(sense, phase, k) @ a, q) == pytest.approx(sense * value(a, sense * q - phase), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_effect_is_the_curve_of_the_alignment():
     """The values that an alignment hands over mean the same in the effect's own formula."""
     rng = np.random.default_rng(5)

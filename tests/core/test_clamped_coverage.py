@@ -46,6 +46,7 @@ def test_the_naive_reading_of_the_transmission_fails_the_same_test():
         assert not np.any(np.isclose(t.found[18:], t.true[18:], rtol=0.5))
 
 
+@pytest.mark.slow
 def test_clearances_differ_from_zero_where_the_limit_says():
     small, large = clamped_coverage.told([p[1] for p in pairs(FEW)])
     assert small.size == large.size == 18
