@@ -18,8 +18,11 @@ __all__ = [
     "Prior",
     "Slot",
     "Term",
+    "beyond_limit",
+    "excludes_zero",
     "find_parameter",
     "fixed_slots",
+    "has_value",
     "no_such_effect",
     "on_bound",
     "parse_term",
@@ -200,6 +203,11 @@ def excludes_zero(parameter: Parameter, value: float, std: float) -> bool:
     if parameter.shape or parameter.share or parameter.fixed != "nowhere" or parameter.role in (*FRAMES, "compliance"):
         return False
     return abs(value) > CERTAIN * std > 0.0
+
+
+def has_value(slot: Slot, effects: Mapping[str, Effect], value: float, std: float, identified: bool) -> bool:
+    """Whether a fitted value is shown to people: the data identify it, or at least exclude that it is zero."""
+    return bool(identified) or excludes_zero(find_parameter(slot, effects), value, std)
 
 
 def beyond_limit(parameter: Parameter, value: float) -> bool:

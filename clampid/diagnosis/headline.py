@@ -16,6 +16,7 @@ __all__ = [
     "at_error",
     "equally_good",
     "headline",
+    "is_known",
     "left_out_text",
     "listed",
     "named",
@@ -280,6 +281,11 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
         at_flange = f"{length(p['at_flange_m'])} at the flange"
         out.append(f"{biased} in {count} {p['parameter']} of {row} by {much}; {at_flange}.")
     return [f"{stage}: {text}" for text in out]
+
+
+def is_known(parameter: Json) -> bool:
+    """Whether a candidate's parameter has a value to show: the data identify it, or at least exclude zero."""
+    return bool(parameter.get("identified", True) or parameter.get("excludes_zero", False))
 
 
 def left_out_text(labels: Sequence[str]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from clampid.diagnosis.headline import is_known
 from clampid.display import Scale, count_text, error_text, number, scale_for, with_std
 from clampid.report.limits import detection_limits, exported, shifted
 from clampid.report.style import Table, as_table
@@ -130,7 +131,7 @@ def _name(c: Json) -> str:
 def _identified(c: Json) -> str:
     """The parameters that the data determine, with their values, and how many others there are."""
     every = [{**p, "name": _short(str(p.get("name", "")), c)} for p in c.get("parameters") or ()]
-    known = [p for p in every if p.get("identified", True) or p.get("excludes_zero", False)]
+    known = [p for p in every if is_known(p)]
     if _has_a_table(c):
         return f"{len(every)} numbers, in a table below"
     if len(known) == len(every) or len(every) > MOST_PARAMETERS:
@@ -222,7 +223,7 @@ def _of_places(c: Json) -> Table:
 
 
 def _numbered(p: Json, scale: Scale) -> str:
-    if not (p.get("identified", True) or p.get("excludes_zero", False)):
+    if not is_known(p):
         return "not identifiable"
     std = float("nan") if p.get("std") is None else float(p["std"])
     return f"{with_std(float(p['value']), std, scale, unit=False)}{marked(p)}"

@@ -17,6 +17,7 @@ from clampid.report.stage_data import in_order
 __all__ = ["with_ledger_figures"]
 
 Json = Mapping[str, Any]
+ERRORS = ("heldout_rms_before", "heldout_rms_after")
 
 
 def with_ledger_figures(diagnosis: Json | None, model: Model, first: Model | None) -> Json | None:
@@ -45,9 +46,6 @@ def _stage(part: Json, rounds: tuple[Round, ...]) -> Json:
     ends = {ERRORS[0]: confirmed[0][0].get(ERRORS[0]), ERRORS[1]: confirmed[-1][0].get(ERRORS[1])}
     known = {key: value for key, value in ends.items() if value is not None}
     return at_error({**part, "candidates": found, **known}, rounds[-1].heldout_rms, rounds[-1].noise_floor)
-
-
-ERRORS = ("heldout_rms_before", "heldout_rms_after")
 
 
 def _is_of(candidate: Json, entry: Round) -> bool:

@@ -14,7 +14,7 @@ from clampid.report.stage_data import in_order, stage_title
 from clampid.report.style import Figure, Section, Table, Weak, as_table
 from clampid.role_slots import has_role, role_of
 from clampid.roles import FRAMES, Role
-from clampid.slots import beyond_limit, excludes_zero, find_parameter, fixed_slots, on_bound, unit_of
+from clampid.slots import beyond_limit, find_parameter, fixed_slots, has_value, on_bound, unit_of
 from clampid.stages.fit_problem import parameter_of
 from kinematics.robot import RobotDescription
 
@@ -171,9 +171,7 @@ def _scale(stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescrip
 
 
 def _shown(stage: StageModel, effects: Mapping[str, Effect], k: int) -> bool:
-    """Whether a value is shown: the data determine it, or exclude at least that it is zero."""
-    known = find_parameter(stage.slots[k], effects)
-    return bool(stage.identified[k]) or excludes_zero(known, float(stage.theta[k]), float(stage.std[k]))
+    return has_value(stage.slots[k], effects, float(stage.theta[k]), float(stage.std[k]), stage.identified[k])
 
 
 def _cell(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from clampid.diagnosis.headline import equally_good
+from clampid.diagnosis.headline import equally_good, is_known
 from clampid.diagnosis.headline import listed as joined
 from clampid.display import error_text, number, places_text, ranged, readable, with_error
 from clampid.exports.determined import determined_shifts
@@ -126,7 +126,7 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
             good = equally_good(candidates)
             out.table("", columns, [_candidate(candidate, unit, candidate in good) for candidate in candidates], left=2)
             parameters = [p for candidate in candidates for p in candidate["parameters"]]
-            known = [p for p in parameters if p.get("identified", True) or p.get("excludes_zero", False)]
+            known = [p for p in parameters if is_known(p)]
             if known:
                 out.table("", ("parameter", "value"), _values(known))
             if len(known) < len(parameters):

@@ -8,6 +8,7 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clampid.display import MINUS
 from clampid.verbs.errors import CallError
 from clampid.verbs.output import Output
 
@@ -70,7 +71,7 @@ def numbers_of(option: str, text: str | None) -> tuple[float, ...] | None:
     if text is None:
         return None
     try:
-        return tuple(float(part) for part in text.replace("−", "-").split(","))
+        return tuple(float(part) for part in text.replace(MINUS, "-").split(","))
     except ValueError:
         raise CallError(f"{option}: expected numbers separated by commas, found {text!r}") from None
 

@@ -64,21 +64,18 @@ def show_parameters(
 
 
 def _cells(effect: str, stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescription) -> list[_Cell]:
-    from clampid.slots import excludes_zero, find_parameter, fixed_slots, on_bound, unit_of
+    from clampid.slots import fixed_slots, has_value, on_bound, unit_of
 
+    theta, std = stage.theta.tolist(), stage.std.tolist()
     shown = [
-        bool(known) or excludes_zero(find_parameter(slot, effects), value, std)
-        for slot, value, std, known in zip(
-            stage.slots, stage.theta.tolist(), stage.std.tolist(), stage.identified, strict=True
-        )
+        has_value(slot, effects, *one) for slot, *one in zip(stage.slots, theta, std, stage.identified, strict=True)
     ]
-    fixed = fixed_slots(stage.slots, effects)
-    errors = [0.0 if constant else std for constant, std in zip(fixed, stage.std.tolist(), strict=True)]
+    errors = [0.0 if fixed else e for fixed, e in zip(fixed_slots(stage.slots, effects), std, strict=True)]
     return [
         _Cell(
             slot.parameter, slot.place, value, std, unit_of(slot, effects, robot), known, on_bound(slot, value, effects)
         )
-        for slot, value, std, known in zip(stage.slots, stage.theta.tolist(), errors, shown, strict=True)
+        for slot, value, std, known in zip(stage.slots, theta, errors, shown, strict=True)
         if slot.effect == effect
     ]
 

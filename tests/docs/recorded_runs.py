@@ -28,9 +28,6 @@ class RecordedRuns:
     def __call__(self, command: str, folder: Path) -> str:
         """Give what a command prints in a folder, and leave there what it leaves; its exit code is 0."""
         key = command, contents(folder)
-        import sys
-
-        print(command, key in self._known, file=sys.__stderr__)
         if key in self._known:
             printed, left = self._known[key]
             shutil.rmtree(folder)

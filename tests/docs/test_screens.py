@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import typer
 from recorded_runs import RecordedRuns
-from recorded_screens import PAGE, simulated_part
+from recorded_screens import PAGE
 from shown_text import unlike
 
 from clampid.cli import app
@@ -95,12 +95,9 @@ def test_an_equal_folder_gives_what_was_recorded_and_another_does_not(recorded: 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_the_simulated_screens_are_what_is_printed_today(recorded: RecordedRuns, tmp_path: Path) -> None:
-    simulated, first = simulated_part()
-    folder = tmp_path / "folder"
-    folder.mkdir()
-    recorded(first, folder)
-    for match in BLOCK.finditer(simulated):
+def test_the_simulated_screens_are_what_is_printed_today(recorded: RecordedRuns, simulated: tuple[str, Path]) -> None:
+    shown, folder = simulated
+    for match in BLOCK.finditer(shown):
         if not match["command"].startswith("clampid serve"):
             wrong = unlike(match["text"], recorded(match["command"], folder))
             assert wrong is None, f"{match['command']}:\n{wrong}"
@@ -108,14 +105,13 @@ def test_the_simulated_screens_are_what_is_printed_today(recorded: RecordedRuns,
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_every_next_command_of_the_simulated_campaign_runs(recorded: RecordedRuns, tmp_path: Path) -> None:
+def test_every_next_command_of_the_simulated_campaign_runs(
+    recorded: RecordedRuns, simulated: tuple[str, Path], tmp_path: Path
+) -> None:
     """After each command of the page, what its screen offers is run in a copy of the folder, in the order offered."""
-    simulated, first = simulated_part()
-    folder = tmp_path / "folder"
-    folder.mkdir()
-    recorded(first, folder)
+    shown, folder = simulated
     needs_an_address, tried = [], 0
-    for number, match in enumerate(BLOCK.finditer(simulated)):
+    for number, match in enumerate(BLOCK.finditer(shown)):
         if match["command"].startswith("clampid serve"):  # runs until interrupted
             continue
         printed = recorded(match["command"], folder)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from recorded_runs import RecordedRuns
-from recorded_screens import PAGE, simulated_part
+from recorded_screens import PAGE
 
 from clampid import screen
 from clampid.cli import run
@@ -131,13 +131,10 @@ def test_each_line_stands_in_the_text_before_it_was_wrapped(
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_each_line_of_the_recorded_screens_stands_in_the_text_before_it_was_wrapped(
-    recorded: RecordedRuns, wide: Wide, tmp_path: Path
+    recorded: RecordedRuns, wide: Wide, simulated: tuple[str, Path]
 ) -> None:
-    simulated, first = simulated_part()
-    folder = tmp_path / "folder"
-    folder.mkdir()
-    recorded(first, folder)
-    commands = [command for command, _ in screens(simulated) if not command.startswith("clampid serve")]
+    shown, folder = simulated
+    commands = [command for command, _ in screens(shown) if not command.startswith("clampid serve")]
     assert len(commands) > 10
     for command in commands:
         assert lines_not_of_whole_words(command, folder, recorded, wide) == [], command
