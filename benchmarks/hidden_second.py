@@ -77,7 +77,10 @@ SECOND_OUTSIDE: tuple[Case, ...] = tuple(
 
 
 def _turn(names: Sequence[str], seed: int) -> str:
-    """One of some names by seed: each in turn, and after each round one further, so that lists do not march in step."""
+    """One of some names by seed: each in turn, and after each round one further.
+
+    Lists of different lengths thus do not go in step. Those of one length do: each log always has the same noise.
+    """
     return names[(seed + seed // len(names)) % len(names)]
 
 
