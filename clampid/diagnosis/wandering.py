@@ -73,7 +73,8 @@ def whitened_by(estimate: Estimate, noise: Noise) -> Estimate:
 def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Scored]) -> float:
     """By how much some channels, entries of each given, are seen to wander beside what stands out; 0 if not."""
     rows, white = estimate.problem.rows, estimate.whitened
-    courses = [course_of(rows, white.entry[own]) for own in mine.values()]
+    noise = estimate.noise
+    courses = [course_of(rows, white.entry[own], noise.shown_level(rows, c)) for c, own in mine.items()]
     residuals = [white.residual[own] for own in mine.values()]
     none = [np.ones((len(r), 1)) for r in residuals]
     if not mine or not wander_of(courses, residuals, none).variance:

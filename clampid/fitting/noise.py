@@ -191,11 +191,23 @@ class Noise:
         white = whitener(groups.mean(out), Predictors(self.autocorrelations[channel]))
         return self._without_wander(rows, channel, self._middle(rows, index), white)
 
+    def shown_level(self, rows: Rows, channel: int) -> Array | None:
+        """How much the prewhitened numbers of a log's channel show of a constant level ``(k,)``; None: all, in poses.
+
+        The filter lets through another share of a level just after a stop of the motor, where it has fewer rows before.
+        """
+        if not self.autocorrelations:
+            return None
+        groups = groups_of(rows, np.flatnonzero(rows.used[:, channel]), self.together)
+        ones = np.ones((len(groups.first), 1))
+        return Whitener(groups.row, groups.stretch)(ones, Predictors(self.autocorrelations[channel]))[:, 0]
+
     def _without_wander(self, rows: Rows, channel: int, entry: Integers, white: Array) -> Array:
         """Innovations of whitened columns ``(k, c)`` of one channel, given its random-walk level."""
         if not self.wander or self.wander[channel] == 0.0:
             return white
-        return course_of(rows, entry).innovations(white, self.wander[channel])[0]
+        course = course_of(rows, entry, self.shown_level(rows, channel))
+        return course.innovations(white, self.wander[channel])[0]
 
     def _middle(self, rows: Rows, index: Integers) -> Integers:
         """The row of each whitened value ``(g,)``: the used row itself, or the middle row of a group."""

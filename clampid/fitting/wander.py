@@ -43,10 +43,13 @@ class Course:
         Indices of the numbers in their order in time ``(k,)``.
     steps
         Steps since the number before ``(k,)``. The first number of a session has as many steps as the whole course.
+    shown
+        How much of the level each number shows ``(k,)``; None: all of it.
     """
 
     order: Integers
     steps: Array
+    shown: Array | None = None
 
     def innovations(self, values: Array, wander: float) -> tuple[Array, Array]:
         """Innovations ``(k, c)`` of columns ``values`` ``(k, c)``, and logarithms of their variances ``(k,)``.
@@ -54,21 +57,23 @@ class Course:
         ``wander``: variance of the level per step, in units of the variance of a number.
         """
         count, variance = len(self.order), 0.0
+        shown = (np.ones(count) if self.shown is None else self.shown)[self.order]
         gain, spread = np.zeros(count), np.zeros(count)
-        for i, step in enumerate(self.steps):
+        for i, (step, share) in enumerate(zip(self.steps, shown.tolist(), strict=True)):
             variance += wander * step
-            spread[i] = variance + 1.0
-            gain[i] = variance / spread[i]
-            variance = gain[i]  # (1 - gain) variance = variance / spread
+            spread[i] = share * share * variance + 1.0
+            gain[i] = variance * share / spread[i]
+            variance /= spread[i]  # (1 - gain share) variance
         x = values[self.order]
-        level = recurrence(1.0 - gain[:, None], gain[:, None] * x)
+        level = recurrence((1.0 - gain * shown)[:, None], gain[:, None] * x)
+        before = np.vstack([np.zeros((1, x.shape[1])), level[:-1]])
         out = np.empty_like(x)
-        out[self.order] = (x - np.vstack([np.zeros((1, x.shape[1])), level[:-1]])) / np.sqrt(spread)[:, None]
+        out[self.order] = (x - shown[:, None] * before) / np.sqrt(spread)[:, None]
         return out, np.log(spread)
 
 
-def course_of(rows: Rows, entry: Integers) -> Course:
-    """The course of one channel's numbers in the rows ``entry`` ``(k,)``.
+def course_of(rows: Rows, entry: Integers, shown: Array | None = None) -> Course:
+    """The course of one channel's numbers in the rows ``entry`` ``(k,)``, and how they show its level.
 
     In poses, a step is one visit. In logs, a step is the median time between two numbers.
     """
@@ -91,7 +96,7 @@ def course_of(rows: Rows, entry: Integers) -> Course:
         steps, whole = np.maximum(between / usual, 0.0), float(count)
     begins = np.diff(rows.session[entry][order], prepend=-1) != 0
     steps = np.where(begins, whole, np.minimum(steps, whole))
-    return Course(order, steps)
+    return Course(order, steps, shown)
 
 
 def in_time(rows: Rows, index: Integers) -> tuple[Integers, Integers]:
