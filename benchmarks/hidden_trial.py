@@ -90,7 +90,7 @@ def told_by(verdict: Mapping[str, Any]) -> dict[str, Any]:
     keys = ("effect", "name", "where", "alternative", "p_familywise", "confusable_with")
     return {
         "verdict": verdict["verdict"],
-        "candidates": [{k: c[k] for k in keys} for c in verdict["candidates"]],
+        "candidates": [{k: c[k] for k in keys} | {"group": c.get("group", 0)} for c in verdict["candidates"]],
         "depends_on": verdict["depends_on"],
         "before": verdict["heldout_rms_before"],
         "after": verdict["heldout_rms_after"],
@@ -103,13 +103,23 @@ def judged(
 ) -> dict[str, Any]:
     """First name right, all found, exact set.
 
-    Right: `missing` with a true effect at its true place first, or `ambiguous` with it in a set of at most three whose
-    members these rows really cannot distinguish. `top1`: the first name of either is a true effect's. Names of effects
-    that the robot has without being asked (`present`) are true, and no answer to what was hidden: they do not count.
+    Right: `missing` with a true effect at its true place first, or `ambiguous` with it in the first set, of at most
+    three whose members these rows really cannot distinguish. `top1`: the first name of either is a true effect's. Names
+    of effects that the robot has without being asked (`present`) are true, and no answer to what was hidden: they, and
+    sets with one of them, do not count.
     """
-    candidates = [c for c in verdict["candidates"] if c["name"] not in present]
+    told = verdict["candidates"]
+    answered = {c.get("group", 0) for c in told if c["alternative"] and c["name"] in present}
+    candidates = [
+        c for c in told if c["name"] not in present and not (c["alternative"] and c.get("group", 0) in answered)
+    ]
     confirmed = [c for c in candidates if not c["alternative"]]
-    alternatives = [c for c in candidates if c["alternative"]]
+    sets: dict[int, list[Mapping[str, Any]]] = {}
+    for c in candidates:
+        if c["alternative"]:
+            sets.setdefault(c.get("group", 0), []).append(c)
+    small = [one for one in sets.values() if len(one) <= MOST_ALTERNATIVES]
+    first_set = next(iter(sets.values()), [])
 
     def hits(c: Mapping[str, Any], t: Mapping[str, str]) -> bool:
         return c["effect"] == t["family"] and (not t["where"] or not c["where"] or t["where"] in c["where"])
@@ -117,17 +127,16 @@ def judged(
     def one_of(chosen: Sequence[Mapping[str, Any]], t: Mapping[str, str]) -> bool:
         return any(hits(c, t) for c in chosen)
 
-    few = 0 < len(alternatives) <= MOST_ALTERNATIVES
     if not candidates:
         right = False
     elif verdict["verdict"] == "missing":
         right = any(hits(confirmed[0], t) for t in truth)
     elif verdict["verdict"] == "ambiguous":
-        right = any(hits(confirmed[0], t) for t in truth) if confirmed else any(one_of(alternatives, t) for t in truth)
-        right = right and (few or bool(confirmed))
+        right = any(one_of(confirmed[:1] if confirmed else first_set, t) for t in truth)
+        right = right and (bool(confirmed) or first_set in small)
     else:
         right = False
-    found = [one_of(confirmed, t) or (few and one_of(alternatives, t)) for t in truth]
+    found = [one_of(confirmed, t) or any(one_of(one, t) for one in small) for t in truth]
     extra = [c for c in confirmed if not any(hits(c, t) for t in truth)]
     first = candidates[0]["effect"] if candidates else verdict["verdict"]
     named = verdict["verdict"] in ("missing", "ambiguous") and bool(candidates)
