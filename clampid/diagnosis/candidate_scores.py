@@ -1,29 +1,20 @@
-"""Score tests of a fit's residual by effects and by probes, each with its null distribution, and the best of each."""
+"""The scores of effects and of probes on a fit's residual: which stand out, and which explain the same as another."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
 from scipy import stats
 
-from clampid.diagnosis.drift import blocks_of_visits
-from clampid.diagnosis.folds import stability_folds
 from clampid.diagnosis.next_measurement import SAME
-from clampid.diagnosis.probes import probes
-from clampid.diagnosis.wandering import whitened_by, with_wander
-from clampid.effect import Effect, EffectError
-from clampid.evidence.candidates import Candidate, columns_of, named_candidates
-from clampid.evidence.events import event_scores
-from clampid.evidence.scan import scan
-from clampid.evidence.score import Flips, Scored, canonical, explained_together, flip_maxima, score
-from clampid.evidence.space import Space, space_of
+from clampid.effect import EffectError
+from clampid.evidence.candidates import Candidate
+from clampid.evidence.score import Flips, Scored, canonical, explained_together
+from clampid.evidence.space import Space
 from clampid.fitting.solve import Estimate
-from clampid.stages.fit_problem import parameter_of
-from clampid.stages.rows import Integers, Rows
-from kinematics.description import RobotDescription
+from clampid.stages.rows import Integers
 
 __all__ = [
     "ABLE",
@@ -33,11 +24,12 @@ __all__ = [
     "FEWEST_FLIPS",
     "IMPOSSIBLE",
     "CandidateScores",
+    "best_of",
     "of_other_families",
     "refuse_few_flips",
     "rivals_of",
-    "scores_of",
     "simplest_of",
+    "standing_out_of",
     "variants_of",
 ]
 
@@ -47,12 +39,11 @@ CONFUSABLE = 0.8  # squared canonical correlation above which both are named: ap
 SHARED = 0.5  # above which they have more in common than not, so that one may be taken for the other if not linear
 ALIASED = 0.999  # above which they are one
 STANDS_IN = 0.9  # of what the best probe explains, less than this may be another effect's share
-IMPOSSIBLE, SURE = 100.0, 4.0  # reasonable sizes that no effect has; standard errors by which that must be clear
+IMPOSSIBLE = 100.0  # reasonable sizes; no effect has as many
 VERY_STRONG = 10.0  # twice the log of the odds: evidence against a further number (Kass and Raftery, 1995)
 # Names whose evidence differs by less are taken in the order of the dictionary, not as rounding says.
 SAME_EVIDENCE = 1e-3
 BY_CHANCE = 0.01
-WEIGHTLESS = 1e-9  # of what the weight does about the joint that bears most
 ABLE = ("testable", "weak")
 
 
@@ -80,7 +71,8 @@ class CandidateScores:
     """The scores of both dictionaries on a fit's residual, with their null distributions.
 
     ``wander``: by how much the noise that they are judged by wanders, variance per step over that of a number
-    (:mod:`clampid.diagnosis.wandering`).
+    (:mod:`clampid.diagnosis.wandering`). ``judged``: the fit, whitened by the noise that was learned again beside what
+    stands out (:mod:`clampid.diagnosis.noise_beside`); None where the scores are by the fit's own noise.
     """
 
     space: Space
@@ -91,17 +83,18 @@ class CandidateScores:
     probe: Scored | None
     folds: Integers
     wander: float = 0.0
+    judged: Estimate | None = None
 
     def best(self, rejected: Collection[str] = ()) -> Scored | None:
         """The best significant name, except those whose labels are rejected; None if there is none."""
-        best = _best([s for s in self.named if s.candidate.label not in rejected], self.named_null)
+        best = best_of([s for s in self.named if s.candidate.label not in rejected], self.named_null)
         return (
             best if best is not None and self.named_null.p_familywise(best.log_p) <= DICTIONARY_FALSE_ALARMS else None
         )
 
     def standing_out(self, rejected: Collection[str] = ()) -> list[Scored]:
         """All significant names whose BIC justifies their parameters, except those whose labels are rejected."""
-        return [s for s in _standing_out(self.named, self.named_null) if s.candidate.label not in rejected]
+        return [s for s in standing_out_of(self.named, self.named_null) if s.candidate.label not in rejected]
 
     @property
     def clearest(self) -> list[Scored]:
@@ -113,7 +106,8 @@ class CandidateScores:
     def remembered(self) -> CandidateScores:
         """The part that a verdict needs later, without arrays of the size of the rows."""
         named = [replace(s, candidate=s.candidate.remembered) for s in self.named]
-        return replace(self, space=self.space.remembered, named=named, free=[], folds=self.folds[:0].copy())
+        space, folds = self.space.remembered, self.folds[:0].copy()
+        return replace(self, space=space, named=named, free=[], folds=folds, judged=None)
 
     @property
     def fires(self) -> bool:
@@ -141,109 +135,22 @@ class CandidateScores:
         )
 
 
-def scores_of(
-    estimate: Estimate,
-    effects: dict[str, Effect],
-    flips: int,
-    seed: int,
-    granted: Sequence[Candidate] = (),
-    block: int = 1,
-    wander: float = 0.0,
-) -> CandidateScores:
-    """Score both dictionaries on a fit's residual, with their null distributions.
-
-    If readings wander in addition to the significant candidates, all are scored again with wandering noise
-    (:mod:`clampid.diagnosis.wandering`).
-
-    Parameters
-    ----------
-    flips, seed
-        How many sign flips make a null, and their stream; the probes' is the next one.
-    granted
-        Candidates that are not fitted; what they could explain is not counted as evidence of other candidates.
-    block
-        Of poses: how many consecutive visits the null flips together.
-    wander
-        By how much readings are known to wander at least.
-    """
-    found = _scores_of(estimate, effects, flips, seed, granted, block)
-    wandering = with_wander(estimate, found.clearest, wander)
-    if wandering is None:
-        return found
-    if estimate.noise.autocorrelations:  # learned from what wanders, too
-        short = whitened_by(estimate, estimate.noise.of_short_memory)
-        clearest = _scores_of(short, effects, flips, seed, granted, block).clearest
-        wandering = with_wander(short, clearest, wander) or wandering
-    # What the fit absorbs, but for rounding and for noise in its columns (a scale, of measured positions), it absorbs.
-    shown = {s.candidate.label for s in found.named if s.freedom}
-    del found  # as large as its rows and all that is active
-    again = _scores_of(wandering, effects, flips, seed, granted, block)
-    named = [s if s.candidate.label in shown else replace(s, state="absorbed") for s in again.named]
-    return replace(again, named=named, wander=max(wandering.noise.wander))
-
-
-def _scores_of(
-    estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int, granted: Sequence[Candidate], block: int
-) -> CandidateScores:
-    """The same with the noise that the estimate has."""
-    space = space_of(estimate, blocks_of_visits(estimate.problem.rows, block)).granting(columns_of(estimate, granted))
-    free = score(space, probes(estimate))
-    free_null = flip_maxima(space, free, flips, seed + 1)
-    free = [s.remembered for s in free]
-    fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= DICTIONARY_FALSE_ALARMS}
-    named = score(space, named_candidates(estimate, effects, fired))
-    events = event_scores(estimate, space, effects)
-    named_null = flip_maxima(space, named, flips, seed).joined(len(events), seed)
-    named = [s.remembered for s in named] + events
-    local = scan(estimate, space, effects, flips, seed)
-    named, named_null = named + local, named_null.joined(1, seed + 2) if local else named_null
-    robot = estimate.problem.rows.robot
-    named = [s if _plausible(s, effects, robot, space.scale) else replace(s, state="implausible") for s in named]
-    named = [replace(s, state="absent") if _without_weight(s, effects, estimate.problem.rows) else s for s in named]
-    folds = stability_folds(estimate.problem.rows)[estimate.whitened.entry]
-    return CandidateScores(space, named, free, named_null, free_null, _best(free, free_null), folds)
-
-
-def _best(scored: Sequence[Scored], null: Flips) -> Scored | None:
+def best_of(scored: Sequence[Scored], null: Flips) -> Scored | None:
     """The first significant candidate whose BIC justifies its parameters; if there is none, the first of all.
 
     The noise of some rows is larger than the score assumes. A candidate that acts there explains much by chance, as its
     own sign flips show, and must not precede a significant one.
     """
     able = [s for s in scored if s.freedom and s.state in ABLE]
-    chosen = _standing_out(able, null) or able
+    chosen = standing_out_of(able, null) or able
     most = max((s.bic for s in chosen), default=0.0)
     return next((s for s in chosen if s.bic >= most - SAME_EVIDENCE), None)
 
 
-def _standing_out(scored: Sequence[Scored], null: Flips) -> list[Scored]:
+def standing_out_of(scored: Sequence[Scored], null: Flips) -> list[Scored]:
+    """The significant ones of some scores whose BIC justifies their parameters."""
     able = [s for s in scored if s.freedom and s.state in ABLE]
     return [s for s in able if s.bic > 0 and null.p_familywise(s.log_p) <= DICTIONARY_FALSE_ALARMS]
-
-
-def _without_weight(s: Scored, effects: Mapping[str, Effect], rows: Rows) -> bool:
-    """Whether it would carry weight at joints that are unloaded in all rows."""
-    if not effects[s.candidate.name].holds_weight:
-        return False
-    bears = np.abs(rows.signals["regressor"]).max(axis=(0, 2), initial=0.0)
-    joints = [int(place.removeprefix("joint")) - 1 for place in s.candidate.places]
-    return bool(np.all(bears[joints] <= WEIGHTLESS * bears.max(initial=0.0)))
-
-
-def _plausible(s: Scored, effects: Mapping[str, Effect], robot: RobotDescription, scale: float) -> bool:
-    """Whether the score's estimates of the parameters have a possible size and sign."""
-    value, spread = s.value, SURE * scale * s.spread
-    parameters = [parameter_of(slot, effects, robot) for slot in s.candidate.slots]
-    if any(abs(v) - sd > IMPOSSIBLE * p.size for p, v, sd in zip(parameters, value, spread, strict=True)):
-        return False
-    if len(s.candidate.terms) > 1:  # of several places, one step from zero may put a few on the wrong side
-        return True
-    # So it may of several parts of one whole, which are all of one sign and unit: these are judged by their mean.
-    parts: dict[tuple[str, tuple[float, float]], list[int]] = {}
-    for k, p in enumerate(parameters):
-        parts.setdefault((p.unit, p.bounds), []).append(k)
-    means = [(bounds, value[k].mean(), spread[k].mean()) for (_, bounds), k in parts.items()]
-    return all(v + sd >= lower and v - sd <= upper for (lower, upper), v, sd in means)
 
 
 def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Collection[str]) -> list[Scored]:

@@ -130,7 +130,7 @@ def probe_held_out_fall(estimate: Estimate, verification: Rows, probe: Candidate
     wide, count = np.c_[J, D], J.shape[1]
     A = wide[fit].T @ wide[fit]
     A[:count, :count] += precision
-    A[count:, count:] += _assumed(found)
+    A[count:, count:] += _assumed(found, D[fit], rows.unit[white.entry[fit]])
     after = np.linalg.lstsq(A, np.r_[start, D[fit].T @ r[fit]], rcond=None)[0]
     test = ~fit
     squares_before, squares_after = (r - J @ before)[test] ** 2, (r - wide @ after)[test] ** 2
@@ -146,10 +146,22 @@ def _fall(before: Array, after: Array, unit: Integers, seed: int) -> Fall:
     return Fall(held_out_p(before, after, unit, seed), share, float(np.sqrt(off @ off)) / total)
 
 
-def _assumed(candidate: Candidate) -> Array:
-    """Precision ``(k, k)`` of a candidate's prior; zero where it has none."""
-    width = candidate.columns.width
-    return np.zeros((width, width)) if candidate.prior is None else np.diag(1.0 / candidate.prior**2)
+def _assumed(candidate: Candidate, columns: Array, unit: Integers) -> Array:
+    """Precision ``(k, k)`` of a candidate's prior; zero for an effect that has none.
+
+    A probe without a prior has one that knows as much as one unit of the rows on average, of no error. Its curves are
+    free, and where only a few units show a part of a curve, other units do not predict that part. Source: Kass and
+    Wasserman, A reference Bayesian test for nested hypotheses, J. Am. Stat. Assoc. 90, 1995 (unit information prior).
+
+    Parameters
+    ----------
+    columns, unit
+        Its columns ``(M, k)``, and the units ``(M,)``.
+    """
+    if candidate.prior is not None:
+        return np.diag(1.0 / candidate.prior**2)
+    gram = columns.T @ columns
+    return np.zeros_like(gram) if candidate.terms else gram / max(len(np.unique(unit)), 1)
 
 
 def cross_fitted_fall(estimate: Estimate, s: Scored, seed: int) -> Fall:
@@ -161,7 +173,7 @@ def cross_fitted_fall(estimate: Estimate, s: Scored, seed: int) -> Fall:
     lever = estimate.prior_precision @ (estimate.prior_mean - estimate.theta)
     columns, unit = s.candidate.columns.dense(len(white.residual)), estimate.problem.rows.unit[white.entry]
     whole = np.c_[white.jacobian, columns]
-    precision = block_diag(estimate.prior_precision, _assumed(s.candidate))
+    precision = block_diag(estimate.prior_precision, _assumed(s.candidate, columns, unit))
     moment = whole.T @ white.residual + np.r_[lever, np.zeros(columns.shape[1])]
     return _cross_fitted(whole, white.residual, precision, moment, unit, white.jacobian.shape[1], seed)
 

@@ -192,7 +192,7 @@ def _one(
         from clampid.diagnosis.next_poses import poses_of
 
         found.next_poses = poses_of(opened.campaign, found.next_plan, seed)
-    if plan_for is not None and len(opened.campaigns) == 1 and found.verdict != "ambiguous":
+    if plan_for is not None and len(opened.campaigns) == 1 and not found.undecided:
         _test_too(opened, found, effects, plan_for, seed)
     if kind_of(stage).points and found.added and found.fitted is not None:
         ends = [_alone(opened, end) for end in (fitted, found.fitted)]

@@ -24,6 +24,8 @@ from clampid.diagnosis.confirm import Fall, cross_fitted_fall, probe_held_out_fa
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import variables_of
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p
+from clampid.diagnosis.noise_beside import with_equal_weights
+from clampid.diagnosis.probes import probes
 from clampid.display import error_text
 from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
@@ -96,11 +98,12 @@ def remains_of(
     def size_of(share: float) -> float:
         return float(np.sqrt(max(share, 0.0) * _per_motor(held_out.rows, where))) * held_out.rms
 
-    size = size_of(fall.share)
+    share = fall if poses else _plain_fall(scores.probe, estimate, seed)
+    size = size_of(share.share)
     if poses:
         large = size >= MATTERS * held_out.floor.norm > 0.0 and held_out.rms > held_out.floor.norm
     else:
-        large = size_of(fall.share + float(stats.norm.isf(CLEARLY)) * fall.error) >= MATTERS
+        large = size_of(share.share + float(stats.norm.isf(CLEARLY)) * share.error) >= MATTERS
     found = variables_of(scores)
     return Remains(tuple(found), where, size, fall.p, large or above_the_floor(held_out, CLEARLY))
 
@@ -128,6 +131,16 @@ def _fall(probe: Scored, estimate: Estimate, verification: Rows | None, seed: in
     if fall.p <= 0.5 * HELD_OUT_RATE or fall.share <= 0.0:
         return fall
     return replace(fall, p=either_p(fall.p, cross_fitted_fall(estimate, probe, seed).p))
+
+
+def _plain_fall(probe: Scored, estimate: Estimate, seed: int) -> Fall:
+    """Fall of the errors of a log by a probe, all rows of a motor with equal weights.
+
+    A pattern has a size in Nm. Whitened, one that is as slow as the noise is small, and a quick one is large.
+    """
+    plain = with_equal_weights(estimate)
+    own = next((p for p in probes(plain) if p.label == probe.candidate.label), None)
+    return Fall(1.0, 0.0) if own is None else cross_fitted_fall(plain, replace(probe, candidate=own), seed)
 
 
 def above_the_floor(held_out: HeldOut, rate: float) -> bool:

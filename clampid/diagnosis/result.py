@@ -109,6 +109,11 @@ class StageDiagnosis:
         return {self.stage: (self.unit, errors)}
 
     @property
+    def undecided(self) -> bool:
+        """Whether these rows do not distinguish some of the candidates."""
+        return any(c["alternative"] for c in self.candidates)
+
+    @property
     def added(self) -> list[Term]:
         """The terms of all steps."""
         return [term for step in self.steps for term in step.terms]

@@ -41,6 +41,8 @@ class Searched:
         Candidates refused in the last round, as listed.
     fitted, held_out, scores
         The last fit, its held-out errors, and the scores on its residual.
+    rest
+        The fit with one of each undecided group, and the scores on its residual, to which the others are granted.
     wander
         By how much readings wander, at most, with everything found in the model (:mod:`clampid.diagnosis.wandering`).
     """
@@ -54,6 +56,7 @@ class Searched:
     fitted: FittedStage
     held_out: HeldOut
     scores: CandidateScores
+    rest: tuple[FittedStage, CandidateScores] | None
     wander: float
 
     @property
@@ -72,7 +75,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     these poses give other flange positions elsewhere.
     """
     rows, effects = fitted.estimate.problem.rows, bench.effects
-    scores = bench.scores(fitted, 0)
+    fitted, scores = bench.scores(fitted, 0)
     if bench.folds is None:
         finer = folds_of(fitted.estimate, scores.space, _on_trial(scores), effects)
         if finer is not None:
@@ -84,6 +87,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     undecided: list[Undecided] = []
     refused: list[dict[str, Any]] = []
     dropped: set[str] = set()
+    rest: tuple[FittedStage, CandidateScores] | None = None
     wander = 0.0
     for number in range(1, SEARCH_ROUNDS + 1):
         tried, others = bench.decided(scores, fitted, held_out)  # a ranking is valid for one step
@@ -97,16 +101,16 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
         else:
             if isinstance(tried, Undecided):
                 given = bench.confirm_given_ambiguity(tried, fitted, held_out, number)
-                tried, undecided, wander = given.found, given.groups, max(wander, given.wander)
+                tried, undecided, rest, wander = given.found, given.groups, given.rest, max(wander, given.wander)
                 refused += [t.refusal(effects, held_out.rms) for t in given.refused]
             if tried is None:
                 break
             steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held_out, tuple(refused))], dropped)
             fitted, held_out = steps[-1].tried.fitted, steps[-1].tried.held_out
         scores = scores.remembered  # the whole is as large as its rows, and the next is about to be made
-        scores = bench.scores(fitted, 2 * number)
+        fitted, scores = bench.scores(fitted, 2 * number)
     wander = max(wander, scores.wander)
-    return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held_out, scores, wander)
+    return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held_out, scores, rest, wander)
 
 
 def _on_trial(scores: CandidateScores, refused: Sequence[Tried] = ()) -> list[Scored]:

@@ -100,7 +100,7 @@ def _searched(fitted: FittedStage, bench: Bench) -> tuple[Bench, Searched]:
 def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Propose | None) -> StageDiagnosis:
     """The verdict on a search, with its evidence."""
     stage, effects, floor = fitted.estimate.problem.stage, bench.effects, bench.floor
-    verification, seed = bench.verification, bench.seed
+    verification = bench.verification
     result = StageDiagnosis(stage, kind_of(stage).error_unit)
     result.folds, first, fitted = bench.folds, fitted.estimate, outcome.fitted
     result.noise_floor = floor.norm if kind_of(stage).points else 1.0
@@ -116,15 +116,9 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     # Of what is not in the model now: before a large effect was added, its residual hid much of what shows without it.
     result.testability = testability_of(scores.named, scores.named_null, effects, first.problem.rows.robot)
     result.considered = [*refused, *considered_of(scores.named, scores.named_null)]
-    tested = None if verification is None else held_out.rows
     result.outliers = _rejected(fitted.estimate, verification, held_out)
     few = estimates_share(fitted.estimate, verification is not None)
-    excess = result.after > FAR_OFF * few * (floor.most if kind_of(stage).points else 1.0)
-    left = remains_of(scores, fitted.estimate, held_out, tested, seed)
-    if result.verdict != "ambiguous" and (excess or (left is not None and left.matters)):
-        _unknown(result, scores, fitted.estimate, seed)
-    elif left is not None and not left.matters:
-        result.remains.append(left)
+    _judge_what_is_left(result, outcome, bench, few)
     if result.verdict == "adequate":
         result.depends_on = []  # what fired brought nothing on rows that no fit has seen
     result.candidates = merged(result.candidates)
@@ -132,6 +126,28 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     result.omission, result.fitted, result.scores = omission_of(first, fitted.estimate), fitted, scores
     _in_words(result, scores, floor.source, first.problem.rows, effects, few)
     return result
+
+
+def _judge_what_is_left(result: StageDiagnosis, outcome: Searched, bench: Bench, few: float) -> None:
+    """The verdict ``unknown`` where what is left matters, or a note of it.
+
+    With candidates that these rows do not distinguish, that is what is left beside any of them. ``few``: by how much
+    errors of the estimates alone enlarge the held-out error (:func:`clampid.diagnosis.few_rows.estimates_share`).
+    """
+    fitted, scores, held_out = outcome.fitted, outcome.scores, outcome.held_out
+    if outcome.undecided:
+        if outcome.rest is None:
+            return
+        fitted, scores = outcome.rest
+        held_out = bench.held_out(fitted)
+    points = fitted.estimate.problem.kind.points
+    excess = held_out.rms > FAR_OFF * few * (bench.floor.most if points else 1.0)
+    tested = None if bench.verification is None else held_out.rows
+    left = remains_of(scores, fitted.estimate, held_out, tested, bench.seed)
+    if excess or (left is not None and left.matters):
+        _unknown(result, scores, fitted.estimate, bench.seed)
+    elif left is not None:
+        result.remains.append(left)
 
 
 def _rejected(estimate: Estimate, verification: Rows | None, held_out: HeldOut) -> list[dict[str, Any]]:

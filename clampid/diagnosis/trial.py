@@ -13,7 +13,6 @@ from clampid.diagnosis.candidate_scores import (
     CandidateScores,
     of_other_families,
     rivals_of,
-    scores_of,
     simplest_of,
     variants_of,
 )
@@ -31,6 +30,7 @@ from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p, held_ou
 from clampid.diagnosis.linear_refit import Step, linear_refit, step_towards
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, bic_gap, pays, pruned
+from clampid.diagnosis.scoring import scores_of
 from clampid.diagnosis.tried import GivenAmbiguity, Taken, Tried, Undecided
 from clampid.effect import Effect, Stage
 from clampid.evidence.candidates import Candidate
@@ -103,11 +103,16 @@ class Bench:
     wander: float = 0.0
 
     @substep("scoring the candidates", ROUND_SHARE)
-    def scores(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> CandidateScores:
-        """The scores on a fit's residual, with its own stream of flips."""
+    def scores(
+        self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()
+    ) -> tuple[FittedStage, CandidateScores]:
+        """The scores on a fit's residual, with its own stream of flips; and the fit, whitened as they are."""
         seed = self.seed + number
         found = scores_of(fitted.estimate, self.effects, self.flips, seed, granted, self.block, self.wander)
-        return found if self.folds is None else replace(found, folds=self.folds.fold[fitted.estimate.whitened.entry])
+        fitted = replace(fitted, estimate=found.judged or fitted.estimate)
+        if self.folds is not None:
+            found = replace(found, folds=self.folds.fold[fitted.estimate.whitened.entry])
+        return fitted, found
 
     def held_out(self, fitted: FittedStage) -> HeldOut:
         """A fit's held-out errors."""
@@ -334,26 +339,20 @@ class Bench:
         """
         groups, whole, wander = [undecided], fitted, 0.0
         while len(groups) < GROUPS:
-            whole, scores = self._along(groups, fitted, whole, number)
+            whole, granted = self.with_undecided(groups, fitted, whole)
+            whole, scores = self.scores(whole, 2 * number - 1, granted)
             wander = max(wander, scores.wander)
             found, _ = self.decided(scores, whole, self.held_out(whole))
             if found is None:
-                break
+                return GivenAmbiguity(None, groups, [], (whole, scores), wander)
             if isinstance(found, Tried):
                 if any(group.refined_by(found.best.candidate) for group in groups):
                     break
                 alone = self._fitted_with(found, fitted, held_out)
                 found, refused = (None, [alone]) if alone.reason else (alone, [])
-                return GivenAmbiguity(found, [undecided] if refused else [], refused, wander)
+                return GivenAmbiguity(found, [undecided] if refused else [], refused, None, wander)
             groups.append(found)
-        return GivenAmbiguity(None, groups, [], wander)
-
-    def _along(
-        self, groups: Sequence[Undecided], fitted: FittedStage, last: FittedStage, number: int
-    ) -> tuple[FittedStage, CandidateScores]:
-        """The fit with the first of each group, from the ``last`` fit, and the scores on its residual."""
-        whole, granted = self.with_undecided(groups, fitted, last)
-        return whole, self.scores(whole, 2 * number - 1, granted)
+        return GivenAmbiguity(None, groups, [], None, wander)
 
     def with_undecided(
         self, groups: Sequence[Undecided], fitted: FittedStage, last: FittedStage

@@ -110,6 +110,9 @@ class GivenAmbiguity(NamedTuple):
     found, groups, refused
         The confirmed effect, and no group; or None, the groups of indistinguishable candidates, and effects that lower
         the error only together with them.
+    rest
+        The fit with one of each group, and the scores on its residual, to which the others are granted; None where an
+        effect was found, or no more groups were looked for.
     wander
         By how much readings wander with the candidates in the model (:mod:`clampid.diagnosis.wandering`).
     """
@@ -117,4 +120,5 @@ class GivenAmbiguity(NamedTuple):
     found: Tried | None
     groups: list[Undecided]
     refused: list[Tried]
+    rest: tuple[FittedStage, CandidateScores] | None
     wander: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -104,28 +104,40 @@ def _verdict(result: StageDiagnosis) -> str:
         case "missing":
             return start + "No further effect was found."
         case "ambiguous":
-            groups: dict[int, list[str]] = {}
-            for c in result.candidates:
-                if c["alternative"]:
-                    groups.setdefault(c["group"], []).append(words(c))
-            first, *more = ("; ".join(group) for group in groups.values())
-            nor = "".join(f" Once one of these is added, these remain indistinguishable: {group}." for group in more)
-            what = "what is left" if confirmed else "the error"
-            return (
-                f"{start}The data do not distinguish these explanations of {what}: {first}.{error} "
-                f"To distinguish them: {result.next_measurement}.{nor}"
-            )
+            return start + _undecided(result, "what is left" if confirmed else "the error", words, error)
         case _:
+            if result.undecided:
+                start += _undecided(result, "a part of the error", words, error) + " "
+                error, beside = "", " beside any of these"
+            else:
+                beside = ""
             if not result.depends_on:
                 return (
-                    f"{start}No known effect explains what is left, and it depends on no recorded variable as far as "
-                    f"these rows show.{error}"
+                    f"{start}No known effect explains what is left{beside}, and it depends on no recorded variable as "
+                    f"far as these rows show.{error}"
                 )
             next_step = f" To describe it as an effect: {result.shape['command']}" if result.shape else ""
             return (
-                f"{start}No known effect explains what is left; it depends on {', '.join(result.depends_on)}."
+                f"{start}No known effect explains what is left{beside}; it depends on {', '.join(result.depends_on)}."
                 f"{error}{next_step}"
             )
+
+
+def _undecided(result: StageDiagnosis, what: str, words: Callable[[Mapping[str, Any]], str], error: str) -> str:
+    """The sets of candidates that the data do not distinguish, and what distinguishes those of the first.
+
+    ``what`` they explain, ``words`` for one of them, and the ``error`` as a sentence.
+    """
+    groups: dict[int, list[str]] = {}
+    for c in result.candidates:
+        if c["alternative"]:
+            groups.setdefault(c["group"], []).append(words(c))
+    first, *more = ("; ".join(group) for group in groups.values())
+    nor = "".join(f" Once one of these is added, these remain indistinguishable: {group}." for group in more)
+    return (
+        f"The data do not distinguish these explanations of {what}: {first}.{error} "
+        f"To distinguish them: {result.next_measurement}.{nor}"
+    )
 
 
 def _floor_excess(excess: Mapping[str, Any], error: str, floor: str, further: bool) -> str:

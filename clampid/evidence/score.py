@@ -348,6 +348,12 @@ class Flips:
         """The ln p below which a candidate is significant at this familywise false-alarm rate."""
         return -float(np.quantile(self.maxima, 1 - rate))
 
+    def log_p_at(self, p: float) -> float:
+        """The largest ln p of a candidate that has this familywise p-value, or a smaller one."""
+        beyond = int(np.floor(p * (len(self.maxima) + 1) + 1e-9)) - 1  # how many maxima may be as large
+        rest = np.sort(self.maxima)[::-1][max(beyond, 0) :]
+        return -float(np.nextafter(rest[0], np.inf)) if len(rest) else 0.0
+
     def joined(self, tests: int, seed: int) -> Flips:
         """The same with further tests that have p-values of their own: under the null, -ln p is exponential."""
         drawn = np.random.default_rng([seed, tests]).exponential(size=(len(self.maxima), tests))

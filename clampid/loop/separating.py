@@ -94,7 +94,7 @@ class Separating:
         decided = [] if fitted is None else self._newly_decided(fitted, pairs, others)
         if left <= 0:
             return Next(None, _joined(decided, used_up))
-        if found.verdict == "ambiguous" and found.next_plan is not None and found.next_plan.plan is not None:
+        if found.undecided and found.next_plan is not None and found.next_plan.plan is not None:
             words = f"{min(len(found.next_plan.chosen), left)} more, because {_alike(found)} explain the same."
             return Next(found.next_plan, _joined(decided, f"{words} {_sentence(found.next_plan)}."))
         pairs = [p for p in pairs if p.apart > -SAME and self._in_vain[p.terms] > CHANCE_GIVEN_UP]

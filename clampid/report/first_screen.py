@@ -182,14 +182,14 @@ def _open(model: Model, found: Json) -> list[str]:
         for c in _not_in(model, name, part):
             out.append(f"{name}: {named(c.get('name', c['effect']), c['where'])} is not in the model yet.")
         either = equally_good(part["candidates"])
-        if part["verdict"] == "ambiguous" and len(either) > 1:
+        if len(either) > 1:
             names = [named(c.get("name", c["effect"]), c["where"]) for c in either]
             out.append(f"{name}: the data do not distinguish {listed(names, 4)}.")
         if part["verdict"] == "unknown":
             variables = listed(list(part.get("depends_on") or ()), 4)
             out.append(f"{name}: an error that depends on {variables or 'no recorded variable'} has no known effect.")
         out += [text for text in notes(name, part, now) if not any(word in text for word in SAID_ELSEWHERE)]
-        if part["verdict"] == "ambiguous" and (part.get("next_plan") or {}).get("helps"):
+        if either and (part.get("next_plan") or {}).get("helps"):
             out.append(f"{name}: To plan that measurement: clampid diagnose MODEL CAMPAIGN --plan next.toml")
     # A plan of what to measure next is never cut off.
     out = [*out[: MOST_OPEN - 1], *out[-1:]] if len(out) > MOST_OPEN else out

@@ -10,10 +10,11 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.diagnosis import testability
-from clampid.diagnosis.candidate_scores import DICTIONARY_FALSE_ALARMS, IMPOSSIBLE, scores_of
+from clampid.diagnosis.candidate_scores import DICTIONARY_FALSE_ALARMS, IMPOSSIBLE
 from clampid.diagnosis.diagnose import Diagnosis, diagnose
 from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.result import Step
+from clampid.diagnosis.scoring import scores_of
 from clampid.display import error_text
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign

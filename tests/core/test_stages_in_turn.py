@@ -8,8 +8,9 @@ from types import MappingProxyType
 
 import pytest
 
-from clampid.diagnosis.candidate_scores import scores_of, simplest_of
+from clampid.diagnosis.candidate_scores import simplest_of
 from clampid.diagnosis.diagnose import Diagnosis, diagnose
+from clampid.diagnosis.scoring import scores_of
 from clampid.diagnosis.tried import Undecided
 from clampid.evidence.candidates import terms_not_active
 from clampid.identification.identify import identify

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clampid.diagnosis.candidate_scores import scores_of
 from clampid.diagnosis.diagnose import diagnose
+from clampid.diagnosis.scoring import scores_of
 from clampid.diagnosis.wandering import WANDERS, with_wander
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
@@ -53,7 +53,7 @@ def test_innovations_where_numbers_show_different_shares_of_the_level() -> None:
 
 
 def test_a_level_that_starts_anywhere_leaves_nothing_of_an_offset_at_any_stop() -> None:
-    """The filter lets through 1 of a level just after a stop and 1.6 of it later; as a jump it looked like an offset."""
+    """The filter lets through 1 of a level just after a stop, 1.6 of it later; as a jump it looked like an offset."""
     count, stops = 600, np.arange(600) % 60 < 12
     shown = np.where(stops, 1.0, 1.6)
     offset = shown[:, None]  # as it is once filtered

@@ -1,0 +1,188 @@
+"""Score tests of a fit's residual by all effects and all probes, each dictionary with its null distribution."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from clampid.diagnosis.candidate_scores import (
+    DICTIONARY_FALSE_ALARMS,
+    IMPOSSIBLE,
+    CandidateScores,
+    best_of,
+    standing_out_of,
+)
+from clampid.diagnosis.drift import blocks_of_visits
+from clampid.diagnosis.folds import stability_folds
+from clampid.diagnosis.noise_beside import with_noise_beside
+from clampid.diagnosis.probes import probes
+from clampid.diagnosis.wandering import whitened_by, with_wander
+from clampid.effect import Effect
+from clampid.evidence.candidates import Candidate, columns_of, named_candidates
+from clampid.evidence.events import event_scores
+from clampid.evidence.scan import scan
+from clampid.evidence.score import Flips, Scored, flip_maxima, score
+from clampid.evidence.space import Space, space_of
+from clampid.fitting.solve import Estimate
+from clampid.stages.fit_problem import parameter_of
+from clampid.stages.rows import Rows
+from kinematics.description import RobotDescription
+
+__all__ = ["scores_of"]
+
+NOISE_ROUNDS = 4  # in which noise is learned beside what stands out, at most
+SURE = 4.0  # standard errors by which it must be clear that a size is impossible
+WEIGHTLESS = 1e-9  # of what the weight does about the joint that bears most
+
+
+def scores_of(
+    estimate: Estimate,
+    effects: dict[str, Effect],
+    flips: int,
+    seed: int,
+    granted: Sequence[Candidate] = (),
+    block: int = 1,
+    wander: float = 0.0,
+) -> CandidateScores:
+    """Score both dictionaries on a fit's residual, with their null distributions.
+
+    If readings wander in addition to the significant candidates, all are scored again with wandering noise
+    (:mod:`clampid.diagnosis.wandering`). Otherwise all are scored again with the noise of a log that is left beside the
+    significant ones (:mod:`clampid.diagnosis.noise_beside`).
+
+    Parameters
+    ----------
+    flips, seed
+        How many sign flips make a null, and their stream; the probes' is the next one.
+    granted
+        Candidates that are not fitted; what they could explain is not counted as evidence of other candidates.
+    block
+        Of poses: how many consecutive visits the null flips together.
+    wander
+        By how much readings are known to wander at least.
+    """
+    found = _scores_of(estimate, effects, flips, seed, granted, block)
+    wandering = with_wander(estimate, found.clearest, wander)
+    if wandering is None:
+        probed = _beside_what_stands_out(estimate, found, flips, seed, granted, block)
+        if probed is None:
+            return found
+        again = _scores_of(probed.estimate, effects, flips, seed, granted, block, probed)
+        named = _as_significant(again.named, again.named_null, found.named, found.named_null)
+        return replace(again, named=named, judged=probed.estimate)
+    if estimate.noise.autocorrelations:  # learned from what wanders, too
+        short = whitened_by(estimate, estimate.noise.of_short_memory)
+        clearest = _scores_of(short, effects, flips, seed, granted, block).clearest
+        wandering = with_wander(short, clearest, wander) or wandering
+    # What the fit absorbs, but for rounding and for noise in its columns (a scale, of measured positions), it absorbs.
+    shown = {s.candidate.label for s in found.named if s.freedom}
+    del found  # as large as its rows and all that is active
+    again = _scores_of(wandering, effects, flips, seed, granted, block)
+    named = [s if s.candidate.label in shown else replace(s, state="absorbed") for s in again.named]
+    return replace(again, named=named, wander=max(wandering.noise.wander))
+
+
+class _Probed(NamedTuple):
+    """A fit, the space of its residual, and the probes' scores on it with their null distribution."""
+
+    estimate: Estimate
+    space: Space
+    free: list[Scored]
+    null: Flips
+
+
+def _probed(estimate: Estimate, flips: int, seed: int, granted: Sequence[Candidate], block: int) -> _Probed:
+    space = space_of(estimate, blocks_of_visits(estimate.problem.rows, block)).granting(columns_of(estimate, granted))
+    free = score(space, probes(estimate))
+    null = flip_maxima(space, free, flips, seed + 1)
+    return _Probed(estimate, space, [s.remembered for s in free], null)
+
+
+def _beside_what_stands_out(
+    estimate: Estimate, found: CandidateScores, flips: int, seed: int, granted: Sequence[Candidate], block: int
+) -> _Probed | None:
+    """A log's fit with the noise that is left beside the best name and all significant probes; None if it is as before.
+
+    With less noise more probes may be significant. So this is repeated until there are no more.
+    """
+    best, free, null = found.best(), found.free, found.free_null
+    beside = {} if best is None else {best.candidate.label: best}
+    last: _Probed | None = None
+    for _ in range(NOISE_ROUNDS):
+        new = {s.candidate.label: s for s in standing_out_of(free, null) if s.candidate.label not in beside}
+        beside |= new
+        again = with_noise_beside(estimate, list(beside.values())) if new or last is None else None
+        if again is None:
+            break
+        last = _probed(again, flips, seed, granted, block)
+        last = last._replace(free=_as_significant(last.free, last.null, free, null))
+        estimate, free, null = last.estimate, last.free, last.null
+    return last
+
+
+def _as_significant(again: Sequence[Scored], null: Flips, before: Sequence[Scored], was: Flips) -> list[Scored]:
+    """The scores ``again`` of the same candidates, each at least as significant as ``before``.
+
+    Flips of a residual that contains an error are as large as the error if only a few units show it. So with less noise
+    an error may be less significant.
+    """
+    p = {(s.candidate.label, frozenset(s.candidate.shapes.items())): was.p_familywise(s.log_p) for s in before}
+
+    def carried(s: Scored) -> Scored:
+        known = p.get((s.candidate.label, frozenset(s.candidate.shapes.items())), 1.0)
+        return replace(s, log_p=min(s.log_p, null.log_p_at(known))) if known < 1.0 else s
+
+    return [carried(s) for s in again]
+
+
+def _scores_of(
+    estimate: Estimate,
+    effects: dict[str, Effect],
+    flips: int,
+    seed: int,
+    granted: Sequence[Candidate],
+    block: int,
+    probed: _Probed | None = None,
+) -> CandidateScores:
+    """The same with the noise that the estimate has; its probes may have been scored before."""
+    _, space, free, free_null = probed or _probed(estimate, flips, seed, granted, block)
+    fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= DICTIONARY_FALSE_ALARMS}
+    named = score(space, named_candidates(estimate, effects, fired))
+    events = event_scores(estimate, space, effects)
+    named_null = flip_maxima(space, named, flips, seed).joined(len(events), seed)
+    named = [s.remembered for s in named] + events
+    local = scan(estimate, space, effects, flips, seed)
+    named, named_null = named + local, named_null.joined(1, seed + 2) if local else named_null
+    robot = estimate.problem.rows.robot
+    named = [s if _plausible(s, effects, robot, space.scale) else replace(s, state="implausible") for s in named]
+    named = [replace(s, state="absent") if _without_weight(s, effects, estimate.problem.rows) else s for s in named]
+    folds = stability_folds(estimate.problem.rows)[estimate.whitened.entry]
+    return CandidateScores(space, named, free, named_null, free_null, best_of(free, free_null), folds)
+
+
+def _without_weight(s: Scored, effects: Mapping[str, Effect], rows: Rows) -> bool:
+    """Whether it would carry weight at joints that are unloaded in all rows."""
+    if not effects[s.candidate.name].holds_weight:
+        return False
+    bears = np.abs(rows.signals["regressor"]).max(axis=(0, 2), initial=0.0)
+    joints = [int(place.removeprefix("joint")) - 1 for place in s.candidate.places]
+    return bool(np.all(bears[joints] <= WEIGHTLESS * bears.max(initial=0.0)))
+
+
+def _plausible(s: Scored, effects: Mapping[str, Effect], robot: RobotDescription, scale: float) -> bool:
+    """Whether the score's estimates of the parameters have a possible size and sign."""
+    value, spread = s.value, SURE * scale * s.spread
+    parameters = [parameter_of(slot, effects, robot) for slot in s.candidate.slots]
+    if any(abs(v) - sd > IMPOSSIBLE * p.size for p, v, sd in zip(parameters, value, spread, strict=True)):
+        return False
+    if len(s.candidate.terms) > 1:  # of several places, one step from zero may put a few on the wrong side
+        return True
+    # So it may of several parts of one whole, which are all of one sign and unit: these are judged by their mean.
+    parts: dict[tuple[str, tuple[float, float]], list[int]] = {}
+    for k, p in enumerate(parameters):
+        parts.setdefault((p.unit, p.bounds), []).append(k)
+    means = [(bounds, value[k].mean(), spread[k].mean()) for (_, bounds), k in parts.items()]
+    return all(v + sd >= lower and v - sd <= upper for (lower, upper), v, sd in means)

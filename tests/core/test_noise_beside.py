@@ -1,0 +1,82 @@
+"""What is significant is judged by the noise beside it, not by a noise that contains it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clampid.diagnosis.confirm import cross_fitted_fall
+from clampid.diagnosis.noise_beside import with_equal_weights, with_noise_beside
+from clampid.diagnosis.probes import probes
+from clampid.evidence.score import Flips, Scored, score
+from clampid.evidence.space import space_of
+from clampid.fitting.fit import fit
+from clampid.fitting.solve import Estimate
+from clampid.identification.identify import identify
+from clampid.identification.model_on_campaign import on_campaign
+from experiments.campaign import Campaign
+
+
+@pytest.mark.parametrize("p", [0.005, 0.01, 0.02, 0.5])
+def test_a_p_value_is_carried_to_another_null(p: float) -> None:
+    null = Flips(np.random.default_rng(4).exponential(size=199))
+    assert null.p_familywise(null.log_p_at(p)) == pytest.approx(p)
+
+
+LABEL, MOTOR, SIZE = "products of q2 and q3 at motor4", 3, 0.8
+
+
+@pytest.fixture(scope="module")
+def clean(simulated: Callable[..., Campaign]) -> Estimate:
+    campaign = simulated(seed=3, poses=40, tables=("free_air", "wrist", "poses"))
+    opened = on_campaign(identify(campaign), campaign)
+    return opened.refit("free_air", opened.rows("free_air")).estimate
+
+
+@pytest.fixture(scope="module")
+def lacking(clean: Estimate) -> Estimate:
+    """The fit of the same log with an error of one motor's torque, as slow as its angles, which no effect describes."""
+    rows = clean.problem.rows
+    angles = rows.signals["q"]
+    error = np.sin(angles[:, 1]) * np.cos(angles[:, 2])
+    measured = rows.measured.copy()
+    measured[:, MOTOR] += SIZE * clean.noise.sigma[:, MOTOR] * error / np.sqrt(np.mean(error**2))
+    return fit(clean.problem.with_rows(replace(rows, measured=measured)))
+
+
+def probe(estimate: Estimate) -> Scored:
+    (found,) = score(space_of(estimate), [p for p in probes(estimate) if p.name == LABEL])
+    return found
+
+
+def test_noise_is_learned_without_the_error_that_stands_out(clean: Estimate, lacking: Estimate) -> None:
+    fired = probe(lacking)
+    found = with_noise_beside(lacking, [fired])
+    assert found is not None
+    for lag in (1, 5, 12):
+        true, taken = clean.noise.autocorrelations[MOTOR][lag], lacking.noise.autocorrelations[MOTOR][lag]
+        assert found.noise.autocorrelations[MOTOR][lag] - true < 0.2 * (taken - true)
+    assert found.noise.sigma[0, MOTOR] == pytest.approx(clean.noise.sigma[0, MOTOR], rel=0.02)
+    assert probe(found).explained > 2.0 * fired.explained
+    others = [c for c in range(len(clean.noise.autocorrelations)) if c != MOTOR]
+    for c in others:
+        np.testing.assert_array_equal(found.noise.autocorrelations[c], lacking.noise.autocorrelations[c])
+
+
+def test_noise_beside_what_explains_nothing_stays_as_it_was(clean: Estimate) -> None:
+    assert with_noise_beside(clean, []) is None
+    found = with_noise_beside(clean, [probe(clean)]) or clean
+    change = found.noise.autocorrelations[MOTOR] - clean.noise.autocorrelations[MOTOR]
+    assert np.abs(change[:13]).max() < 0.03
+
+
+def test_the_size_of_what_is_left_is_that_in_the_torque(lacking: Estimate) -> None:
+    plain = with_equal_weights(lacking)
+    fall = cross_fitted_fall(plain, probe(plain), 0)
+    motors = np.bincount(plain.whitened.channel)
+    size = np.sqrt(fall.share * motors.sum() / motors[MOTOR])
+    true = SIZE / np.sqrt(1.0 + SIZE**2)  # in units of all that is left of this motor
+    assert 0.5 * true < size < 1.1 * true  # a part of it looks like weight, and is taken for it
