@@ -49,7 +49,8 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored], least: float = 0.0
     beside
         Significant candidates that may explain all slow changes, the most significant first.
     least
-        Known lower limit of the wandering: variance per step over that of a number.
+        Known lower limit of the wandering: variance per step over that of a number. If it is known, the level is one
+        for the whole log; before, what changes at a stop of the motor may be a missing effect.
     """
     rows, white = estimate.problem.rows, estimate.whitened
     if rows.kind.solved or not len(white.residual):
@@ -57,11 +58,11 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored], least: float = 0.0
     wanted = POSE_CHANNELS[0] if rows.kind.points else range(rows.measured.shape[1])
     channels = {int(white.channel[start]): slice(start, stop) for start, stop in channel_starts(white)}
     mine = {c: channels[c] for c in wanted if c in channels}
-    variance = max(_seen(estimate, mine, beside), least)
+    variance = max(_seen(estimate, mine, beside, least > 0.0), least)
     if not mine or not variance:
         return None
     each = (variance if c in mine else 0.0 for c in range(rows.measured.shape[1]))
-    return whitened_by(estimate, replace(estimate.noise, wander=tuple(each)))
+    return whitened_by(estimate, replace(estimate.noise, wander=tuple(each), one_level=least > 0.0))
 
 
 def whitened_by(estimate: Estimate, noise: Noise) -> Estimate:
@@ -70,11 +71,12 @@ def whitened_by(estimate: Estimate, noise: Noise) -> Estimate:
     return replace(estimate, noise=noise, whitened=noise.whiten(estimate.problem.rows, residual, jacobian))
 
 
-def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Scored]) -> float:
+def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Scored], one_level: bool) -> float:
     """By how much some channels, entries of each given, are seen to wander beside what stands out; 0 if not."""
     rows, white = estimate.problem.rows, estimate.whitened
     noise = estimate.noise
-    courses = [course_of(rows, white.entry[own], noise.shown_level(rows, c)) for c, own in mine.items()]
+    shown = {c: noise.shown_level(rows, c) if one_level else None for c in mine}
+    courses = [course_of(rows, white.entry[own], shown[c]) for c, own in mine.items()]
     residuals = [white.residual[own] for own in mine.values()]
     none = [np.ones((len(r), 1)) for r in residuals]
     if not mine or not wander_of(courses, residuals, none).variance:

@@ -115,6 +115,9 @@ class Noise:
     wander
         ``(m,)``, or empty: variance per step of each channel's random-walk level, in units of the variance of a number
         (:mod:`clampid.fitting.wander`). No fit estimates it: the residual of a missing effect may wander too.
+    one_level
+        Of a log that wanders: whether one level goes on over all stretches of rows that count, as seen through the
+        filter. Otherwise its jumps at the beginning of each stretch are left to the candidates.
     """
 
     sigma: Array
@@ -122,6 +125,7 @@ class Noise:
     together: int = 1
     counts: tuple[float, ...] = ()
     wander: tuple[float, ...] = ()
+    one_level: bool = False
 
     @property
     def of_short_memory(self) -> Noise:
@@ -206,7 +210,7 @@ class Noise:
         """Innovations of whitened columns ``(k, c)`` of one channel, given its random-walk level."""
         if not self.wander or self.wander[channel] == 0.0:
             return white
-        course = course_of(rows, entry, self.shown_level(rows, channel))
+        course = course_of(rows, entry, self.shown_level(rows, channel) if self.one_level else None)
         return course.innovations(white, self.wander[channel])[0]
 
     def _middle(self, rows: Rows, index: Integers) -> Integers:
@@ -217,7 +221,7 @@ class Noise:
 
     def at(self, chosen: npt.NDArray[np.int64]) -> Noise:
         """The noise of the rows with numbers ``chosen``."""
-        return Noise(self.sigma[chosen], self.autocorrelations, self.together, self.counts, self.wander)
+        return replace(self, sigma=self.sigma[chosen])
 
 
 def initial_noise(rows: Rows) -> Noise:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,8 +102,8 @@ def test_what_a_column_says_does_not_wander() -> None:
     assert wander_of([course()], [y], [trend]).variance == 0.0
 
 
-@pytest.mark.parametrize("stage", ["free_air", "poses"])
-def test_residual_and_columns_pass_one_filter(simulated: Callable[..., Campaign], stage: str) -> None:
+@pytest.mark.parametrize(("stage", "one_level"), [("free_air", True), ("free_air", False), ("poses", True)])
+def test_residual_and_columns_pass_one_filter(simulated: Callable[..., Campaign], stage: str, one_level: bool) -> None:
     campaign = simulated(seed=3, poses=40, tables=("free_air", "wrist", "poses"))
     opened = on_campaign(identify(campaign), campaign)
     estimate = opened.refit(stage, opened.rows(stage)).estimate
@@ -110,13 +111,13 @@ def test_residual_and_columns_pass_one_filter(simulated: Callable[..., Campaign]
     residual, jacobian = estimate.problem.residual(estimate.theta)
     plain = Noise(estimate.noise.sigma, estimate.noise.autocorrelations, estimate.noise.together)
     count = rows.measured.shape[1]
-    wandering = Noise(plain.sigma, plain.autocorrelations, plain.together, wander=(1e-3,) * count)
+    wandering = replace(plain, wander=(1e-3,) * count, one_level=one_level)
     white, found = plain.whiten(rows, residual, jacobian), wandering.whiten(rows, residual, jacobian)
     np.testing.assert_array_equal(found.entry, white.entry)
     for channel in np.unique(white.channel):
         own = white.channel == channel
         both = np.c_[white.residual[own], white.jacobian[own]]
-        shown = plain.shown_level(rows, int(channel))
+        shown = plain.shown_level(rows, int(channel)) if one_level else None
         expected = course_of(rows, white.entry[own], shown).innovations(both, 1e-3)[0]
         np.testing.assert_allclose(np.c_[found.residual[own], found.jacobian[own]], expected, atol=1e-9)
 
