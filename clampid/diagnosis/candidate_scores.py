@@ -13,7 +13,6 @@ from clampid.effect import EffectError
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Flips, Scored, canonical, explained_together
 from clampid.evidence.space import Space
-from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Integers
 
 __all__ = [
@@ -71,8 +70,7 @@ class CandidateScores:
     """The scores of both dictionaries on a fit's residual, with their null distributions.
 
     ``wander``: by how much the noise that they are judged by wanders, variance per step over that of a number
-    (:mod:`clampid.diagnosis.wandering`). ``judged``: the fit, whitened by the noise that was learned again beside what
-    stands out (:mod:`clampid.diagnosis.noise_beside`); None where the scores are by the fit's own noise.
+    (:mod:`clampid.diagnosis.wandering`).
     """
 
     space: Space
@@ -83,7 +81,6 @@ class CandidateScores:
     probe: Scored | None
     folds: Integers
     wander: float = 0.0
-    judged: Estimate | None = None
 
     def best(self, rejected: Collection[str] = ()) -> Scored | None:
         """The best significant name, except those whose labels are rejected; None if there is none."""
@@ -107,7 +104,7 @@ class CandidateScores:
         """The part that a verdict needs later, without arrays of the size of the rows."""
         named = [replace(s, candidate=s.candidate.remembered) for s in self.named]
         space, folds = self.space.remembered, self.folds[:0].copy()
-        return replace(self, space=space, named=named, free=[], folds=folds, judged=None)
+        return replace(self, space=space, named=named, free=[], folds=folds)
 
     @property
     def fires(self) -> bool:

@@ -2,9 +2,9 @@
 
 The noise of a torque log is learned from what a fit leaves. This contains what the model lacks. If that is slow, the
 noise looks correlated for long, and the filter that whitens it removes the missing effect as well. In one log of our
-second virtual world, a cable that drags with 0.55 times the noise kept 2 % of its squares. Probes and names judge what
-such a filter lets through. So once some of them are significant, the noise is learned again, from what a fit with all
-of these leaves. If nothing is significant, the noise stays as it was, and with it the rate of false alarms.
+second virtual world, a cable that drags with 0.55 times the noise kept 2 % of its squares. So once names or probes are
+significant, the noise is learned again, from what a fit with all of these leaves, and the probes are judged by it. If
+nothing is significant, the noise stays as it was, and with it the rate of false alarms.
 
 Signs are flipped in blocks that are longer than the noise's memory. So the significance of a candidate does not depend
 on the filter being right; its power does.

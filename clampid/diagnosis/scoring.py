@@ -31,7 +31,7 @@ from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Rows
 from kinematics.description import RobotDescription
 
-__all__ = ["scores_of"]
+__all__ = ["probed_beside_what_stands_out", "scores_of"]
 
 NOISE_ROUNDS = 4  # in which noise is learned beside what stands out, at most
 SURE = 4.0  # standard errors by which it must be clear that a size is impossible
@@ -50,8 +50,7 @@ def scores_of(
     """Score both dictionaries on a fit's residual, with their null distributions.
 
     If readings wander in addition to the significant candidates, all are scored again with wandering noise
-    (:mod:`clampid.diagnosis.wandering`). Otherwise all are scored again with the noise of a log that is left beside the
-    significant ones (:mod:`clampid.diagnosis.noise_beside`).
+    (:mod:`clampid.diagnosis.wandering`).
 
     Parameters
     ----------
@@ -67,12 +66,7 @@ def scores_of(
     found = _scores_of(estimate, effects, flips, seed, granted, block)
     wandering = with_wander(estimate, found.clearest, wander)
     if wandering is None:
-        probed = _beside_what_stands_out(estimate, found, flips, seed, granted, block)
-        if probed is None:
-            return found
-        again = _scores_of(probed.estimate, effects, flips, seed, granted, block, probed)
-        named = _as_significant(again.named, again.named_null, found.named, found.named_null)
-        return replace(again, named=named, judged=probed.estimate)
+        return found
     if estimate.noise.autocorrelations:  # learned from what wanders, too
         short = whitened_by(estimate, estimate.noise.of_short_memory)
         clearest = _scores_of(short, effects, flips, seed, granted, block).clearest
@@ -86,9 +80,8 @@ def scores_of(
 
 
 class _Probed(NamedTuple):
-    """A fit, the space of its residual, and the probes' scores on it with their null distribution."""
+    """The space of a fit's residual, and the probes' scores on it with their null distribution."""
 
-    estimate: Estimate
     space: Space
     free: list[Scored]
     null: Flips
@@ -98,29 +91,42 @@ def _probed(estimate: Estimate, flips: int, seed: int, granted: Sequence[Candida
     space = space_of(estimate, blocks_of_visits(estimate.problem.rows, block)).granting(columns_of(estimate, granted))
     free = score(space, probes(estimate))
     null = flip_maxima(space, free, flips, seed + 1)
-    return _Probed(estimate, space, [s.remembered for s in free], null)
+    return _Probed(space, [s.remembered for s in free], null)
 
 
-def _beside_what_stands_out(
-    estimate: Estimate, found: CandidateScores, flips: int, seed: int, granted: Sequence[Candidate], block: int
-) -> _Probed | None:
-    """A log's fit with the noise that is left beside the best name and all significant probes; None if it is as before.
+def probed_beside_what_stands_out(
+    estimate: Estimate,
+    scores: CandidateScores,
+    flips: int,
+    seed: int,
+    granted: Sequence[Candidate] = (),
+    block: int = 1,
+) -> tuple[Estimate, CandidateScores]:
+    """A log's fit with the noise that is left beside the significant candidates, and the probes' scores by that noise.
 
-    With less noise more probes may be significant. So this is repeated until there are no more.
+    With less noise more probes may be significant. So this is repeated until there are no more. The names' scores stay
+    as they are: laws of effects are approximations, which less noise would tell apart. Nothing changes in other stages,
+    nor if readings wander. Parameters as of :func:`scores_of`.
     """
-    best, free, null = found.best(), found.free, found.free_null
-    beside = {} if best is None else {best.candidate.label: best}
-    last: _Probed | None = None
-    for _ in range(NOISE_ROUNDS):
-        new = {s.candidate.label: s for s in standing_out_of(free, null) if s.candidate.label not in beside}
+    if scores.wander or not estimate.noise.autocorrelations:
+        return estimate, scores
+    best, beside = scores.best(), dict[str, Scored]()
+    if best is not None:
+        beside[best.candidate.label] = best
+    for number in range(NOISE_ROUNDS):
+        new = {s.candidate.label: s for s in standing_out_of(scores.free, scores.free_null)}
+        if number and new.keys() <= beside.keys():
+            break
         beside |= new
-        again = with_noise_beside(estimate, list(beside.values())) if new or last is None else None
+        again = with_noise_beside(estimate, list(beside.values()))
         if again is None:
             break
-        last = _probed(again, flips, seed, granted, block)
-        last = last._replace(free=_as_significant(last.free, last.null, free, null))
-        estimate, free, null = last.estimate, last.free, last.null
-    return last
+        found = _probed(again, flips, seed, granted, block)
+        free = _as_significant(found.free, found.null, scores.free, scores.free_null)
+        estimate, folds = again, stability_folds(again.problem.rows)[again.whitened.entry]
+        probe = best_of(free, found.null)
+        scores = replace(scores, space=found.space, free=free, free_null=found.null, probe=probe, folds=folds)
+    return estimate, scores
 
 
 def _as_significant(again: Sequence[Scored], null: Flips, before: Sequence[Scored], was: Flips) -> list[Scored]:
@@ -139,16 +145,10 @@ def _as_significant(again: Sequence[Scored], null: Flips, before: Sequence[Score
 
 
 def _scores_of(
-    estimate: Estimate,
-    effects: dict[str, Effect],
-    flips: int,
-    seed: int,
-    granted: Sequence[Candidate],
-    block: int,
-    probed: _Probed | None = None,
+    estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int, granted: Sequence[Candidate], block: int
 ) -> CandidateScores:
-    """The same with the noise that the estimate has; its probes may have been scored before."""
-    _, space, free, free_null = probed or _probed(estimate, flips, seed, granted, block)
+    """The same with the noise that the estimate has."""
+    space, free, free_null = _probed(estimate, flips, seed, granted, block)
     fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= DICTIONARY_FALSE_ALARMS}
     named = score(space, named_candidates(estimate, effects, fired))
     events = event_scores(estimate, space, effects)

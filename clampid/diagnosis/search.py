@@ -12,7 +12,7 @@ from clampid.diagnosis.confirmed import Confirmed, with_needed_only
 from clampid.diagnosis.folds import Folds, folds_of
 from clampid.diagnosis.held_out import HeldOut
 from clampid.diagnosis.trial import Bench
-from clampid.diagnosis.tried import Taken, Tried, Undecided
+from clampid.diagnosis.tried import Left, Taken, Tried, Undecided
 from clampid.evidence.score import Scored
 from clampid.identification.fitted_stage import FittedStage
 
@@ -42,7 +42,7 @@ class Searched:
     fitted, held_out, scores
         The last fit, its held-out errors, and the scores on its residual.
     rest
-        The fit with one of each undecided group, and the scores on its residual, to which the others are granted.
+        The fit with one of each undecided group, and what is left of it, if the others are granted to it.
     wander
         By how much readings wander, at most, with everything found in the model (:mod:`clampid.diagnosis.wandering`).
     """
@@ -56,7 +56,7 @@ class Searched:
     fitted: FittedStage
     held_out: HeldOut
     scores: CandidateScores
-    rest: tuple[FittedStage, CandidateScores] | None
+    rest: tuple[FittedStage, Left] | None
     wander: float
 
     @property
@@ -75,7 +75,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     these poses give other flange positions elsewhere.
     """
     rows, effects = fitted.estimate.problem.rows, bench.effects
-    fitted, scores = bench.scores(fitted, 0)
+    scores = bench.scores(fitted, 0)
     if bench.folds is None:
         finer = folds_of(fitted.estimate, scores.space, _on_trial(scores), effects)
         if finer is not None:
@@ -87,7 +87,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     undecided: list[Undecided] = []
     refused: list[dict[str, Any]] = []
     dropped: set[str] = set()
-    rest: tuple[FittedStage, CandidateScores] | None = None
+    rest: tuple[FittedStage, Left] | None = None
     wander = 0.0
     for number in range(1, SEARCH_ROUNDS + 1):
         tried, others = bench.decided(scores, fitted, held_out)  # a ranking is valid for one step
@@ -108,7 +108,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
             steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held_out, tuple(refused))], dropped)
             fitted, held_out = steps[-1].tried.fitted, steps[-1].tried.held_out
         scores = scores.remembered  # the whole is as large as its rows, and the next is about to be made
-        fitted, scores = bench.scores(fitted, 2 * number)
+        scores = bench.scores(fitted, 2 * number)
     wander = max(wander, scores.wander)
     return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held_out, scores, rest, wander)
 

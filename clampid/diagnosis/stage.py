@@ -134,18 +134,20 @@ def _judge_what_is_left(result: StageDiagnosis, outcome: Searched, bench: Bench,
     With candidates that these rows do not distinguish, that is what is left beside any of them. ``few``: by how much
     errors of the estimates alone enlarge the held-out error (:func:`clampid.diagnosis.few_rows.estimates_share`).
     """
-    fitted, scores, held_out = outcome.fitted, outcome.scores, outcome.held_out
-    if outcome.undecided:
-        if outcome.rest is None:
-            return
-        fitted, scores = outcome.rest
+    held_out = outcome.held_out
+    if not outcome.undecided:
+        estimate, scores = bench.beside(outcome.fitted.estimate, outcome.scores)
+    elif outcome.rest is None:
+        return
+    else:
+        fitted, (estimate, scores) = outcome.rest
         held_out = bench.held_out(fitted)
-    points = fitted.estimate.problem.kind.points
+    points = estimate.problem.kind.points
     excess = held_out.rms > FAR_OFF * few * (bench.floor.most if points else 1.0)
     tested = None if bench.verification is None else held_out.rows
-    left = remains_of(scores, fitted.estimate, held_out, tested, bench.seed)
+    left = remains_of(scores, estimate, held_out, tested, bench.seed)
     if excess or (left is not None and left.matters):
-        _unknown(result, scores, fitted.estimate, bench.seed)
+        _unknown(result, scores, estimate, bench.seed)
     elif left is not None:
         result.remains.append(left)
 

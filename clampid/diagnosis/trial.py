@@ -30,8 +30,8 @@ from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p, held_ou
 from clampid.diagnosis.linear_refit import Step, linear_refit, step_towards
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, bic_gap, pays, pruned
-from clampid.diagnosis.scoring import scores_of
-from clampid.diagnosis.tried import GivenAmbiguity, Taken, Tried, Undecided
+from clampid.diagnosis.scoring import probed_beside_what_stands_out, scores_of
+from clampid.diagnosis.tried import GivenAmbiguity, Left, Taken, Tried, Undecided
 from clampid.effect import Effect, Stage
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored, canonical
@@ -103,16 +103,15 @@ class Bench:
     wander: float = 0.0
 
     @substep("scoring the candidates", ROUND_SHARE)
-    def scores(
-        self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()
-    ) -> tuple[FittedStage, CandidateScores]:
-        """The scores on a fit's residual, with its own stream of flips; and the fit, whitened as they are."""
+    def scores(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> CandidateScores:
+        """The scores on a fit's residual, with its own stream of flips."""
         seed = self.seed + number
         found = scores_of(fitted.estimate, self.effects, self.flips, seed, granted, self.block, self.wander)
-        fitted = replace(fitted, estimate=found.judged or fitted.estimate)
-        if self.folds is not None:
-            found = replace(found, folds=self.folds.fold[fitted.estimate.whitened.entry])
-        return fitted, found
+        return found if self.folds is None else replace(found, folds=self.folds.fold[fitted.estimate.whitened.entry])
+
+    def beside(self, estimate: Estimate, scores: CandidateScores, granted: Sequence[Candidate] = ()) -> Left:
+        """What is left of a fit, its probes judged by the noise beside what stands out."""
+        return Left(*probed_beside_what_stands_out(estimate, scores, self.flips, self.seed, granted, self.block))
 
     def held_out(self, fitted: FittedStage) -> HeldOut:
         """A fit's held-out errors."""
@@ -340,11 +339,12 @@ class Bench:
         groups, whole, wander = [undecided], fitted, 0.0
         while len(groups) < GROUPS:
             whole, granted = self.with_undecided(groups, fitted, whole)
-            whole, scores = self.scores(whole, 2 * number - 1, granted)
+            scores = self.scores(whole, 2 * number - 1, granted)
             wander = max(wander, scores.wander)
             found, _ = self.decided(scores, whole, self.held_out(whole))
             if found is None:
-                return GivenAmbiguity(None, groups, [], (whole, scores), wander)
+                left = self.beside(whole.estimate, scores, granted)
+                return GivenAmbiguity(None, groups, [], (whole, left), wander)
             if isinstance(found, Tried):
                 if any(group.refined_by(found.best.candidate) for group in groups):
                     break

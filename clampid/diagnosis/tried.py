@@ -17,7 +17,7 @@ from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
 from clampid.stages.stage_kind import acts_with, stages_with
 
-__all__ = ["GivenAmbiguity", "Taken", "Tried", "Undecided"]
+__all__ = ["GivenAmbiguity", "Left", "Taken", "Tried", "Undecided"]
 
 ONE = 1.0  # what chance explains by one number, in units of the residual's variance
 
@@ -102,6 +102,13 @@ class Taken(NamedTuple):
     after: int
 
 
+class Left(NamedTuple):
+    """A fit, whitened by the noise beside all that stands out in its residual, and the scores of what is left."""
+
+    estimate: Estimate
+    scores: CandidateScores
+
+
 class GivenAmbiguity(NamedTuple):
     """Effects that are missing whichever of some indistinguishable candidates is the true one.
 
@@ -111,8 +118,8 @@ class GivenAmbiguity(NamedTuple):
         The confirmed effect, and no group; or None, the groups of indistinguishable candidates, and effects that lower
         the error only together with them.
     rest
-        The fit with one of each group, and the scores on its residual, to which the others are granted; None where an
-        effect was found, or no more groups were looked for.
+        The fit with one of each group, and what is left of it, the others granted; None where an effect was found, or
+        no more groups were looked for.
     wander
         By how much readings wander with the candidates in the model (:mod:`clampid.diagnosis.wandering`).
     """
@@ -120,5 +127,5 @@ class GivenAmbiguity(NamedTuple):
     found: Tried | None
     groups: list[Undecided]
     refused: list[Tried]
-    rest: tuple[FittedStage, CandidateScores] | None
+    rest: tuple[FittedStage, Left] | None
     wander: float

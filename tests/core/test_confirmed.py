@@ -43,7 +43,7 @@ def bench(opened: ModelOnCampaign, start: FittedStage) -> Bench:
 
 def in_turn(bench: Bench, start: FittedStage, labels: Sequence[str]) -> list[Confirmed]:
     """Steps as if these had been confirmed one after the other."""
-    (base, scores), steps, held_out = bench.scores(start, 0), list[Confirmed](), bench.held_out(start)
+    scores, steps, base, held_out = bench.scores(start, 0), list[Confirmed](), start, bench.held_out(start)
     for label in labels:
         best = next(s for s in scores.named if s.candidate.label == label and s.freedom)
         terms = list(best.candidate.terms)

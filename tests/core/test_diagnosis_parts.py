@@ -185,7 +185,7 @@ def test_candidates_raising_the_held_out_error_are_refused_without_a_fit(simulat
         return fit(terms, last, start)
 
     bench = bench_of(opened, fitted, refit)
-    held_out, (fitted, scores) = bench.held_out(fitted), bench.scores(fitted, 0)
+    held_out, scores = bench.held_out(fitted), bench.scores(fitted, 0)
     able = [s for s in scores.named if s.freedom and s.state == "testable" and s.candidate.name == "gear_eccentricity"]
     false = [s for s in able if s.candidate.places == ("joint4",)]
     refused, _ = bench.decided(replace(scores, named=false), fitted, held_out)
@@ -233,7 +233,7 @@ def test_correlated_candidates_that_do_not_lower_the_held_out_error_are_no_tie(s
     opened = on_campaign(model, campaign)
     fitted = opened.refit("poses")
     bench = bench_of(opened, fitted, refits(opened))
-    held_out, (fitted, scores) = bench.held_out(fitted), bench.scores(fitted, 0)
+    held_out, scores = bench.held_out(fitted), bench.scores(fitted, 0)
     able = [s for s in scores.named if s.freedom and s.state == "testable" and s.candidate.name == "gear_eccentricity"]
     joints = {s.candidate.places: s for s in able}
     false = [joints["joint4",], joints["joint6",]]
