@@ -321,8 +321,12 @@ def _stop_for(context: Context, words: str, bad: Sequence[int], before: Sequence
     context.journal.add("note", words=words)
     context.journal.add("void", table="clamped", sweeps=list(bad), why=words)
     _release(context)
-    stand = (
-        f"sweeps {', '.join(map(str, before))} of this clamping stand" if before else "no sweep of this clamping stands"
-    )
-    again = f"sweep{'s' if len(bad) > 1 else ''} {', '.join(map(str, bad))}"
-    raise RunStopped(f"{words}. {again} will be made again; {stand}. {remedy}")
+    stand = f"{_named(before)} of this clamping {'stand' if len(before) > 1 else 'stands'}"
+    raise RunStopped(f"{words}. {_named(bad)} will be made again; {stand}. {remedy}")
+
+
+def _named(sweeps: Sequence[int]) -> str:
+    """``sweep 3``, ``sweeps 1, 2`` or ``no sweep``."""
+    if not sweeps:
+        return "no sweep"
+    return f"sweep{'s' if len(sweeps) > 1 else ''} {', '.join(map(str, sweeps))}"
