@@ -108,18 +108,14 @@ def judged(
     of effects that the robot has without being asked (`present`) are true, and no answer to what was hidden: they, and
     sets with one of them, do not count.
     """
-    told = verdict["candidates"]
-    answered = {c.get("group", 0) for c in told if c["alternative"] and c["name"] in present}
-    candidates = [
-        c for c in told if c["name"] not in present and not (c["alternative"] and c.get("group", 0) in answered)
-    ]
-    confirmed = [c for c in candidates if not c["alternative"]]
-    sets: dict[int, list[Mapping[str, Any]]] = {}
-    for c in candidates:
+    confirmed = [c for c in verdict["candidates"] if not c["alternative"] and c["name"] not in present]
+    by_group: dict[int, list[Mapping[str, Any]]] = {}
+    for c in verdict["candidates"]:
         if c["alternative"]:
-            sets.setdefault(c.get("group", 0), []).append(c)
-    small = [one for one in sets.values() if len(one) <= MOST_ALTERNATIVES]
-    first_set = next(iter(sets.values()), [])
+            by_group.setdefault(c["group"], []).append(c)
+    sets = [one for one in by_group.values() if not any(c["name"] in present for c in one)]
+    small = [one for one in sets if len(one) <= MOST_ALTERNATIVES]
+    candidates = [*confirmed, *(c for one in sets for c in one)]
 
     def hits(c: Mapping[str, Any], t: Mapping[str, str]) -> bool:
         return c["effect"] == t["family"] and (not t["where"] or not c["where"] or t["where"] in c["where"])
@@ -132,8 +128,8 @@ def judged(
     elif verdict["verdict"] == "missing":
         right = any(hits(confirmed[0], t) for t in truth)
     elif verdict["verdict"] == "ambiguous":
-        right = any(one_of(confirmed[:1] if confirmed else first_set, t) for t in truth)
-        right = right and (bool(confirmed) or first_set in small)
+        first_said = confirmed[:1] or next(iter(sets))
+        right = any(one_of(first_said, t) for t in truth) and len(first_said) <= MOST_ALTERNATIVES
     else:
         right = False
     found = [one_of(confirmed, t) or any(one_of(one, t) for one in small) for t in truth]

@@ -193,13 +193,14 @@ def _left(stages: Json, where: bool, most: int) -> str:
     either = [c for part in stages.values() for c in equally_good(part["candidates"])]
     unknown = [v for part in stages.values() if part["verdict"] == "unknown" for v in part.get("depends_on") or ("",)]
     before = any(not c["alternative"] for part in stages.values() for c in part["candidates"])
+    partly = any(part["verdict"] == "unknown" and equally_good(part["candidates"]) for part in stages.values())
     out = []
     if len(either) == 1:
-        rest = "a part of the error" if unknown else "the rest"
+        rest = "a part of the error" if partly else "the rest"
         out.append(f"{named(either[0].get('name', either[0]['effect']), either[0]['where'])} explains {rest} best")
     elif either:
         names = [named(c.get("name", c["effect"]), c["where"] if where else ()) for c in either]
-        rest = "a part of the error" if unknown else "what is left" if before else "the error"
+        rest = "a part of the error" if partly else "what is left" if before else "the error"
         out.append(f"{_either(names, most)} explain {rest} equally well")
     if unknown:
         what = listed(list(dict.fromkeys(unknown)), 4)
@@ -248,15 +249,15 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
             out.append(f"{name} explains it less well: held-out error {error}.")
         else:
             out.append(f"{name} is no alternative: the data do not determine its values (held-out error {error}).")
-    plan = part.get("next_plan") or {}
-    if plan.get("for") == "parting" and (good or worse):
+    undecided, plan = bool(good or worse), part.get("next_plan") or {}
+    if undecided and plan.get("for") == "parting":
         kind = kind_of(stage).words.folds
         if plan.get("helps"):
             now, then = (f"{number(plan[f'sigma_{when}'], 2)} σ" for when in ("before", "after"))
             out.append(f"The closest two differ by {now}; {plan['count']} proposed {kind} raise this to {then}.")
         else:
             out.append(f"No {kind} that this robot can take distinguish all of them.")
-    elif (good or worse) and part.get("next_measurement"):
+    elif undecided and part.get("next_measurement"):
         out.append(f"To distinguish them: {part['next_measurement']}.")
     if above := part.get("above_floor"):
         out.append(

@@ -2,7 +2,7 @@
 
 The noise of a torque log is learned from what a fit leaves. This contains what the model lacks. If that is slow, the
 noise looks correlated for long, and the filter that whitens it removes the missing effect as well. In one log of our
-second virtual world, a cable that drags with 0.55 times the noise kept 2 % of its squares. So once names or probes are
+second virtual world, a cable that drags with 0.6 times the noise kept 2 % of its squares. So once names or probes are
 significant, the noise is learned again, from what a fit with all of these leaves, and the probes are judged by it. If
 nothing is significant, the noise stays as it was, and with it the rate of false alarms.
 
@@ -12,18 +12,19 @@ on the filter being right; its power does.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.wandering import whitened_by
-from clampid.evidence.candidates import Candidate
+from clampid.evidence.candidates import Candidate, columns_of
 from clampid.evidence.columns import channel_starts
 from clampid.evidence.score import Scored
+from clampid.evidence.space import space_of
 from clampid.fitting.equal_weights import uncorrelated
-from clampid.fitting.noise import Noise, groups_of
+from clampid.fitting.noise import groups_of
 from clampid.fitting.solve import Estimate
 from clampid.stages.prewhitening import autocorrelation, lag_products
 from clampid.stages.rows import Array
@@ -40,13 +41,12 @@ def with_noise_beside(estimate: Estimate, beside: Sequence[Scored]) -> Estimate 
         Names and probes that stand out. All of their amplitudes are fitted, with all parameters of the estimate.
     """
     noise, rows = estimate.noise, estimate.problem.rows
-    if not noise.autocorrelations or not beside:
+    if not rows.kind.moving or not noise.autocorrelations or not beside:
         return None
     plain = with_equal_weights(estimate)
     white = plain.whitened
-    free = {p.name: p for p in probes(plain)}
-    columns = np.hstack([_columns(plain, s, free) for s in beside])
-    left = _left(plain, columns)
+    columns = _columns(plain, [s.candidate for s in beside])
+    left = space_of(plain).granting(columns).residual
     sigma, found, counts = noise.sigma.copy(), list(noise.autocorrelations), list(noise.counts)
     for start, stop in channel_starts(white):
         c = int(white.channel[start])
@@ -56,7 +56,7 @@ def with_noise_beside(estimate: Estimate, beside: Sequence[Scored]) -> Estimate 
         products, pairs = lag_products(left[start:stop], groups.row, groups.stretch)
         sigma[:, c] *= max(float(np.sqrt(products[0] / max(pairs[0], 1.0))), 1e-12)
         found[c], counts[c] = autocorrelation(products, pairs), float(pairs[0])
-    again = Noise(sigma, tuple(found), noise.together, tuple(counts), noise.wander)
+    again = replace(noise, sigma=sigma, autocorrelations=tuple(found), counts=tuple(counts))
     return None if noise.settled(again) else whitened_by(estimate, again)
 
 
@@ -66,29 +66,8 @@ def with_equal_weights(estimate: Estimate) -> Estimate:
     return whitened_by(estimate, replace(noise, autocorrelations=uncorrelated(len(noise.autocorrelations)), wander=()))
 
 
-def _columns(plain: Estimate, s: Scored, free: Mapping[str, Candidate]) -> Array:
-    """Columns ``(M, k)`` of a candidate, whitened as those of the estimate are; ``free``: its probes by name."""
-    c, white = s.candidate, plain.whitened
-    if not c.terms:
-        return free[c.name].columns.dense(len(white.residual))
-    shapes = {slot: value for slot, value in c.shapes.items() if slot not in plain.slots}
-    problem = plain.problem.with_slots((*plain.slots, *c.slots, *shapes))
-    count, whole = len(plain.slots), len(plain.slots) + len(c.slots) + len(shapes)
-    theta = np.zeros(len(plain.theta) + whole - count)
-    theta[:count], theta[whole:] = plain.theta[:count], plain.theta[count:]
-    theta[count + len(c.slots) : whole] = list(shapes.values())
-    residual, jacobian = problem.residual(theta)
-    return plain.noise.whiten(plain.problem.rows, residual, jacobian[:, :, count : count + len(c.slots)]).jacobian
-
-
-def _left(plain: Estimate, columns: Array) -> Array:
-    """What a fit of all parameters and further columns ``(M, k)`` leaves of a residual ``(M,)``."""
-    white, count = plain.whitened, len(plain.theta)
-    whole = np.c_[white.jacobian, columns]
-    normal = whole.T @ whole
-    normal[:count, :count] += plain.prior_precision
-    moment = whole.T @ white.residual
-    moment[:count] += plain.prior_precision @ (plain.prior_mean - plain.theta)
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    step = np.linalg.lstsq(normal / np.outer(size, size), moment / size, rcond=1e-12)[0] / size
-    return np.asarray(white.residual - whole @ step)
+def _columns(plain: Estimate, candidates: Sequence[Candidate]) -> Array:
+    """Columns ``(M, k)`` of candidates, probes among them, whitened as those of the estimate are."""
+    free = {p.label: p for p in probes(plain)}
+    own = [free[c.label].columns.dense(len(plain.whitened.residual)) for c in candidates if not c.terms]
+    return np.hstack([columns_of(plain, [c for c in candidates if c.terms]), *own])

@@ -50,7 +50,7 @@ class Remains:
     size
         rms of the part of the held-out error that the probe explains, in the stage's unit: of poses, or of its motor.
     p
-        One-sided, of that fall.
+        One-sided, of the fall of the whitened errors.
     matters
         Whether the verdict names it.
     """
@@ -98,12 +98,12 @@ def remains_of(
     def size_of(share: float) -> float:
         return float(np.sqrt(max(share, 0.0) * _per_motor(held_out.rows, where))) * held_out.rms
 
-    share = fall if poses else _plain_fall(scores.probe, estimate, seed)
-    size = size_of(share.share)
+    explained = fall if poses else _plain_fall(scores.probe, estimate, seed)
+    size = size_of(explained.share)
     if poses:
         large = size >= MATTERS * held_out.floor.norm > 0.0 and held_out.rms > held_out.floor.norm
     else:
-        large = size_of(share.share + float(stats.norm.isf(CLEARLY)) * share.error) >= MATTERS
+        large = size_of(explained.share + float(stats.norm.isf(CLEARLY)) * explained.error) >= MATTERS
     found = variables_of(scores)
     return Remains(tuple(found), where, size, fall.p, large or above_the_floor(held_out, CLEARLY))
 
@@ -139,8 +139,8 @@ def _plain_fall(probe: Scored, estimate: Estimate, seed: int) -> Fall:
     A pattern has a size in Nm. Whitened, one that is as slow as the noise is small, and a quick one is large.
     """
     plain = with_equal_weights(estimate)
-    own = next((p for p in probes(plain) if p.label == probe.candidate.label), None)
-    return Fall(1.0, 0.0) if own is None else cross_fitted_fall(plain, replace(probe, candidate=own), seed)
+    own = next(p for p in probes(plain) if p.label == probe.candidate.label)
+    return cross_fitted_fall(plain, replace(probe, candidate=own), seed)
 
 
 def above_the_floor(held_out: HeldOut, rate: float) -> bool:

@@ -108,7 +108,7 @@ def probed_beside_what_stands_out(
     as they are: laws of effects are approximations, which less noise would tell apart. Nothing changes in other stages,
     nor if readings wander. Parameters as of :func:`scores_of`.
     """
-    if scores.wander or not estimate.noise.autocorrelations:
+    if scores.wander:
         return estimate, scores
     best, beside = scores.best(), dict[str, Scored]()
     if best is not None:
@@ -121,27 +121,20 @@ def probed_beside_what_stands_out(
         again = with_noise_beside(estimate, list(beside.values()))
         if again is None:
             break
-        found = _probed(again, flips, seed, granted, block)
-        free = _as_significant(found.free, found.null, scores.free, scores.free_null)
-        estimate, folds = again, stability_folds(again.problem.rows)[again.whitened.entry]
-        probe = best_of(free, found.null)
-        scores = replace(scores, space=found.space, free=free, free_null=found.null, probe=probe, folds=folds)
+        space, free, null = _probed(again, flips, seed, granted, block)
+        free = _as_significant(free, null, scores.free, scores.free_null)
+        estimate, scores = again, replace(scores, space=space, free=free, free_null=null, probe=best_of(free, null))
     return estimate, scores
 
 
 def _as_significant(again: Sequence[Scored], null: Flips, before: Sequence[Scored], was: Flips) -> list[Scored]:
-    """The scores ``again`` of the same candidates, each at least as significant as ``before``.
+    """The scores ``again`` of the same probes, each at least as significant as ``before``.
 
     Flips of a residual that contains an error are as large as the error if only a few units show it. So with less noise
     an error may be less significant.
     """
-    p = {(s.candidate.label, frozenset(s.candidate.shapes.items())): was.p_familywise(s.log_p) for s in before}
-
-    def carried(s: Scored) -> Scored:
-        known = p.get((s.candidate.label, frozenset(s.candidate.shapes.items())), 1.0)
-        return replace(s, log_p=min(s.log_p, null.log_p_at(known))) if known < 1.0 else s
-
-    return [carried(s) for s in again]
+    p = {s.candidate.label: was.p_familywise(s.log_p) for s in before}
+    return [replace(s, log_p=min(s.log_p, null.log_p_at(p[s.candidate.label]))) for s in again]
 
 
 def _scores_of(

@@ -42,7 +42,7 @@ class Searched:
     fitted, held_out, scores
         The last fit, its held-out errors, and the scores on its residual.
     rest
-        The fit with one of each undecided group, and what is left of it, if the others are granted to it.
+        What the fit with one of each undecided group leaves, the others granted; None where it is not known.
     wander
         By how much readings wander, at most, with everything found in the model (:mod:`clampid.diagnosis.wandering`).
     """
@@ -56,8 +56,13 @@ class Searched:
     fitted: FittedStage
     held_out: HeldOut
     scores: CandidateScores
-    rest: tuple[FittedStage, Left] | None
+    rest: Left | None
     wander: float
+
+    @property
+    def left(self) -> Left | None:
+        """What the last fit leaves; with undecided groups, what is left beside them."""
+        return self.rest if self.undecided else Left(self.fitted.estimate, self.scores, self.held_out)
 
     @property
     def least_wander(self) -> float:
@@ -87,7 +92,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     undecided: list[Undecided] = []
     refused: list[dict[str, Any]] = []
     dropped: set[str] = set()
-    rest: tuple[FittedStage, Left] | None = None
+    rest: Left | None = None
     wander = 0.0
     for number in range(1, SEARCH_ROUNDS + 1):
         tried, others = bench.decided(scores, fitted, held_out)  # a ranking is valid for one step

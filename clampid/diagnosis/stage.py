@@ -134,14 +134,9 @@ def _judge_what_is_left(result: StageDiagnosis, outcome: Searched, bench: Bench,
     With candidates that these rows do not distinguish, that is what is left beside any of them. ``few``: by how much
     errors of the estimates alone enlarge the held-out error (:func:`clampid.diagnosis.few_rows.estimates_share`).
     """
-    held_out = outcome.held_out
-    if not outcome.undecided:
-        estimate, scores = bench.beside(outcome.fitted.estimate, outcome.scores)
-    elif outcome.rest is None:
+    if outcome.left is None:
         return
-    else:
-        fitted, (estimate, scores) = outcome.rest
-        held_out = bench.held_out(fitted)
+    estimate, scores, held_out, _ = bench.beside_what_stands_out(outcome.left)
     points = estimate.problem.kind.points
     excess = held_out.rms > FAR_OFF * few * (bench.floor.most if points else 1.0)
     tested = None if bench.verification is None else held_out.rows

@@ -109,9 +109,10 @@ class Bench:
         found = scores_of(fitted.estimate, self.effects, self.flips, seed, granted, self.block, self.wander)
         return found if self.folds is None else replace(found, folds=self.folds.fold[fitted.estimate.whitened.entry])
 
-    def beside(self, estimate: Estimate, scores: CandidateScores, granted: Sequence[Candidate] = ()) -> Left:
-        """What is left of a fit, its probes judged by the noise beside what stands out."""
-        return Left(*probed_beside_what_stands_out(estimate, scores, self.flips, self.seed, granted, self.block))
+    def beside_what_stands_out(self, left: Left) -> Left:
+        """What a fit leaves, its probes judged by the noise beside what stands out."""
+        found = probed_beside_what_stands_out(*left[:2], self.flips, self.seed, left.granted, self.block)
+        return left._replace(estimate=found[0], scores=found[1])
 
     def held_out(self, fitted: FittedStage) -> HeldOut:
         """A fit's held-out errors."""
@@ -341,10 +342,10 @@ class Bench:
             whole, granted = self.with_undecided(groups, fitted, whole)
             scores = self.scores(whole, 2 * number - 1, granted)
             wander = max(wander, scores.wander)
-            found, _ = self.decided(scores, whole, self.held_out(whole))
+            left = Left(whole.estimate, scores, self.held_out(whole), granted)
+            found, _ = self.decided(scores, whole, left.held_out)
             if found is None:
-                left = self.beside(whole.estimate, scores, granted)
-                return GivenAmbiguity(None, groups, [], (whole, left), wander)
+                return GivenAmbiguity(None, groups, [], left, wander)
             if isinstance(found, Tried):
                 if any(group.refined_by(found.best.candidate) for group in groups):
                     break

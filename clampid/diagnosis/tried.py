@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -103,10 +103,12 @@ class Taken(NamedTuple):
 
 
 class Left(NamedTuple):
-    """A fit, whitened by the noise beside all that stands out in its residual, and the scores of what is left."""
+    """What a fit leaves: scores of its residual, its held-out errors, and the candidates that were granted to it."""
 
     estimate: Estimate
     scores: CandidateScores
+    held_out: HeldOut
+    granted: Sequence[Candidate] = ()
 
 
 class GivenAmbiguity(NamedTuple):
@@ -118,8 +120,8 @@ class GivenAmbiguity(NamedTuple):
         The confirmed effect, and no group; or None, the groups of indistinguishable candidates, and effects that lower
         the error only together with them.
     rest
-        The fit with one of each group, and what is left of it, the others granted; None where an effect was found, or
-        no more groups were looked for.
+        What the fit with one of each group leaves, the others granted; None where an effect was found, or no more
+        groups were looked for.
     wander
         By how much readings wander with the candidates in the model (:mod:`clampid.diagnosis.wandering`).
     """
@@ -127,5 +129,5 @@ class GivenAmbiguity(NamedTuple):
     found: Tried | None
     groups: list[Undecided]
     refused: list[Tried]
-    rest: tuple[FittedStage, Left] | None
+    rest: Left | None
     wander: float

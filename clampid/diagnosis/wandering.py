@@ -74,8 +74,7 @@ def whitened_by(estimate: Estimate, noise: Noise) -> Estimate:
 def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Scored], one_level: bool) -> float:
     """By how much some channels, entries of each given, are seen to wander beside what stands out; 0 if not."""
     rows, white = estimate.problem.rows, estimate.whitened
-    noise = estimate.noise
-    shown = {c: noise.shown_level(rows, c) if one_level else None for c in mine}
+    shown = {c: estimate.noise.shown_level(rows, c) if one_level else None for c in mine}
     courses = [course_of(rows, white.entry[own], shown[c]) for c, own in mine.items()]
     residuals = [white.residual[own] for own in mine.values()]
     none = [np.ones((len(r), 1)) for r in residuals]

@@ -106,11 +106,10 @@ def _verdict(result: StageDiagnosis) -> str:
         case "ambiguous":
             return start + _undecided(result, "what is left" if confirmed else "the error", words, error)
         case _:
+            beside = ""
             if result.undecided:
                 start += _undecided(result, "a part of the error", words, error) + " "
                 error, beside = "", " beside any of these"
-            else:
-                beside = ""
             if not result.depends_on:
                 return (
                     f"{start}No known effect explains what is left{beside}, and it depends on no recorded variable as "

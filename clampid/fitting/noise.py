@@ -192,26 +192,31 @@ class Noise:
             return np.asarray(out)
         groups = groups_of(rows, index, self.together)
         whitener = Whitener(groups.row, groups.stretch)
-        white = whitener(groups.mean(out), Predictors(self.autocorrelations[channel]))
-        return self._without_wander(rows, channel, self._middle(rows, index), white)
+        means, predictors, entry = (
+            groups.mean(out),
+            Predictors(self.autocorrelations[channel]),
+            self._middle(rows, index),
+        )
+        if not self.one_level:
+            return self._without_wander(rows, channel, entry, whitener(means, predictors))
+        both = whitener(np.c_[means, np.ones(len(means))], predictors)  # a constant level passes the same filter
+        return self._without_wander(rows, channel, entry, both[:, :-1], both[:, -1])
 
-    def shown_level(self, rows: Rows, channel: int) -> Array | None:
-        """How much the prewhitened numbers of a log's channel show of a constant level ``(k,)``; None: all, in poses.
+    def shown_level(self, rows: Rows, channel: int) -> Array:
+        """How much the prewhitened numbers of a channel show of a constant level ``(k,)``: in poses all of it.
 
         The filter lets through another share of a level just after a stop of the motor, where it has fewer rows before.
         """
-        if not self.autocorrelations:
-            return None
-        groups = groups_of(rows, np.flatnonzero(rows.used[:, channel]), self.together)
-        ones = np.ones((len(groups.first), 1))
-        return Whitener(groups.row, groups.stretch)(ones, Predictors(self.autocorrelations[channel]))[:, 0]
+        short = replace(self, wander=(), one_level=False)
+        return short.whiten_channel(rows, channel, self.sigma[:, channel, None])[:, 0]
 
-    def _without_wander(self, rows: Rows, channel: int, entry: Integers, white: Array) -> Array:
-        """Innovations of whitened columns ``(k, c)`` of one channel, given its random-walk level."""
+    def _without_wander(
+        self, rows: Rows, channel: int, entry: Integers, white: Array, shown: Array | None = None
+    ) -> Array:
+        """Innovations of whitened columns ``(k, c)`` of one channel, given its random-walk level as it is shown."""
         if not self.wander or self.wander[channel] == 0.0:
             return white
-        course = course_of(rows, entry, self.shown_level(rows, channel) if self.one_level else None)
-        return course.innovations(white, self.wander[channel])[0]
+        return course_of(rows, entry, shown).innovations(white, self.wander[channel])[0]
 
     def _middle(self, rows: Rows, index: Integers) -> Integers:
         """The row of each whitened value ``(g,)``: the used row itself, or the middle row of a group."""

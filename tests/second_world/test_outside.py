@@ -55,7 +55,7 @@ def test_friction_by_another_joints_load_is_found_at_its_motor(tmp_path: Path) -
     ("name", "seed"), [("friction_of_both", 173), ("dragged_cable", 173), ("torque_surface", 174), ("resonance", 174)]
 )
 def test_an_unknown_torque_is_not_taken_for_noise(name: str, seed: int) -> None:
-    """Filtered as noise, 2 to 43 % of their squares were left. One was `adequate`, and one a tie of other effects."""
+    """Filtered as noise, 23 and 2 % of the first two's squares were left. One was `adequate`, and two were ties."""
     case = next(c for c in WORLDS["second"].cases["outside"] if c.label == f"{name}/free_air")
     found = hidden_trial(WORLDS["second"], case, 0.8, seed, 200, best=False)
     assert found["verdict"] == "unknown"
