@@ -44,9 +44,14 @@ def export_screen(kind: str, found: Exported, output: Path, next_steps: tuple[Ne
         facts=tuple(facts),
         verdict=_alone(kind, found.left.error, found.measured),
         notes=tuple(f"{note[0].upper()}{note[1:]}." for note in found.cautions),
-        more=f"Read back within {found.difference:.1e} m. Conditions and more digits: --json FILE.",
+        more=f"Read back within {_rounding(found.difference)}. Conditions and more digits: --json FILE.",
         next=next_steps,
     )
+
+
+def _rounding(difference: float) -> str:
+    """A difference of positions in m, which is that of the last digits only."""
+    return error_text(difference, "m") if difference > EXACT else "1 nm"
 
 
 def kuka_screen(found: KukaExport, temperature: float, output: Path, next_steps: tuple[Next, ...] = ()) -> Screen:
