@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clampid.diagnosis.next_measurement import SAME
+from clampid.evidence.candidates import columns_of
+from clampid.evidence.columns import Columns
 from clampid.evidence.score import Scored
 from clampid.fitting.descent import newton_step
 from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate, limits_of
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["Step", "linear_refit", "step_towards"]
+__all__ = ["Step", "at_fit", "linear_refit", "step_towards"]
 
 
 def linear_refit(estimate: Estimate, s: Scored) -> Estimate | None:
@@ -112,6 +114,12 @@ class Step:
     def may_reach(self, other: Step | None) -> bool:
         """Whether a search from here may explain as much as the other step, judged by the observed curvature."""
         return other is None or max(self.kept, self.promised) + abs(self.kept - self.promised) >= other.kept
+
+
+def at_fit(estimate: Estimate, s: Scored) -> Scored:
+    """A candidate scored at another fit, its columns evaluated at this one, which may drop other rows as outliers."""
+    columns = columns_of(estimate, [s.candidate])
+    return replace(s, candidate=replace(s.candidate, columns=Columns(((0, columns),), columns.shape[1])))
 
 
 def step_towards(estimate: Estimate, *candidates: Scored) -> Step | None:

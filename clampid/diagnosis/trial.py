@@ -27,7 +27,7 @@ from clampid.diagnosis.confirm import (
 from clampid.diagnosis.entries import confusable_with
 from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p, held_out_of
-from clampid.diagnosis.linear_refit import Step, linear_refit, step_towards
+from clampid.diagnosis.linear_refit import Step, at_fit, linear_refit, step_towards
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, bic_gap, pays, pruned
 from clampid.diagnosis.scoring import probed_beside_what_stands_out, scores_of
@@ -365,7 +365,7 @@ class Bench:
         fitted_too = [c for c in members if c not in granted]
         terms = dict.fromkeys(term for c in fitted_too for term in c.terms)
         shapes = {slot: value for c in reversed(fitted_too) for slot, value in c.shapes.items()}
-        step = step_towards(last.estimate, groups[-1].members[0])
+        step = step_towards(last.estimate, at_fit(last.estimate, groups[-1].members[0]))
         near = step.near.values() if step is not None and step.falls else last.model.values()
         return self.refit([*fitted.model.terms, *terms], last, {**shapes, **near}), granted
 

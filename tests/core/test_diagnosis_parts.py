@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
 from clampid.diagnosis.candidate_scores import rivals_of
-from clampid.diagnosis.linear_refit import step_towards
+from clampid.diagnosis.linear_refit import at_fit, step_towards
 from clampid.diagnosis.pruning import pays
 from clampid.diagnosis.remains import CLEARLY, above_the_floor
 from clampid.diagnosis.tried import Tried, Undecided
@@ -265,3 +265,24 @@ def test_an_error_is_above_the_floor_only_where_that_is_no_chance(simulated: Cal
     held_out = bench_of(opened, fitted, refits(opened)).held_out(fitted)
     floor = replace(held_out.floor, sigma=np.full(3, held_out.rms / times / 3**0.5), source="replicates", freedom=30)
     assert above_the_floor(replace(held_out, floor=floor), CLEARLY) == (times > 1.4)
+
+
+def test_a_step_from_a_fit_that_dropped_other_rows(simulated: Callable[..., Campaign]):
+    """With several ties, the last was found in a fit with one of the first, and others' outliers; this once failed."""
+    campaign = simulated(seed=7, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint3",))
+    estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
+    candidates = {c.label: c for c in named_candidates(estimate, catalogue(), set())}
+    gear = score(space_of(estimate), [candidates["gear_eccentricity@joint3"]])[0]
+    known = step_towards(estimate, gear)
+    rows = estimate.problem.rows
+    more = rows.without(np.arange(len(rows)) % 7 == 0)
+    fewer = solve(
+        estimate.problem.with_rows(more), estimate.theta, estimate.noise, estimate.prior_precision, estimate.prior_mean
+    )
+    step = step_towards(fewer, at_fit(fewer, gear))
+    assert known is not None
+    assert step is not None
+    assert len(step.near.whitened.residual) < len(known.near.whitened.residual)
+    for slot in gear.candidate.slots:
+        found, before = step.near.values()[slot], known.near.values()[slot]
+        assert found == pytest.approx(before, abs=0.3 * max(abs(before), 1e-5))
