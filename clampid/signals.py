@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from experiments.columns import is_further
+
 __all__ = ["PRESLIDING_LENGTHS", "RELAXATION_TIMES", "SIGNALS", "Signal", "Stage", "signal"]
 
 Stage = str
@@ -87,8 +89,11 @@ _SENSOR = re.compile(r"temp_(?!(link|motor)\d+$|ambient$)[A-Za-z]\w*")
 def signal(name: str) -> Signal | None:
     """The signal of a name; None if there is none.
 
-    ``temp_<where>`` is what a column ``temp_<where>_C`` recorded, if it is of no link, motor or the surroundings.
+    ``temp_<where>`` is what a column ``temp_<where>_C`` recorded, if it is of no link, motor or the surroundings. In
+    poses every other column whose name ends in a unit is a signal of that name.
     """
-    if name not in SIGNALS and _SENSOR.fullmatch(name):
+    if name in SIGNALS:
+        return SIGNALS[name]
+    if _SENSOR.fullmatch(name):
         return Signal((), "K", f"temperature of {name.removeprefix('temp_')} less 20 degC, as recorded")
-    return SIGNALS.get(name)
+    return Signal((), "", f"column {name}, as recorded") if is_further(name) else None

@@ -18,8 +18,11 @@ __all__ = [
     "TABLES",
     "Column",
     "TableFormat",
+    "further_columns",
+    "is_further",
     "joint_columns",
     "lookalike",
+    "parted",
     "table_format",
     "temperature_columns",
 ]
@@ -31,6 +34,11 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 POSITION = ("x_m", "y_m", "z_m")
 
 _TEMPERATURE = re.compile(r"temp_\w+_C")
+# A name that ends in a unit, as the contract asks of every column; no misnamed temperature and no standard deviation.
+_FURTHER = re.compile(
+    r"(?!temp_|std_)(?P<what>[A-Za-z]\w*?)"
+    r"_(?P<unit>rad_s2|rad_s|rad|m_s2|m_s|m|s|Nm|N|kg|K|C|A|V|W|Hz|Pa|percent)"
+)
 
 
 @dataclass(frozen=True)
@@ -103,6 +111,23 @@ def joint_columns(pattern: str, n: int) -> tuple[str, ...]:
 def temperature_columns(names: Iterable[str]) -> tuple[str, ...]:
     """Those of the names that are temperature sensors (``temp_<where>_C``), in their order."""
     return tuple(name for name in names if _TEMPERATURE.fullmatch(name))
+
+
+def is_further(name: str) -> bool:
+    """Whether a column that the contract does not know has a name that it allows: one that ends in an SI unit."""
+    return _FURTHER.fullmatch(name) is not None
+
+
+def parted(name: str) -> tuple[str, str]:
+    """The name of a further column without its unit, and the unit; the name itself without a unit."""
+    found = _FURTHER.fullmatch(name)
+    return (name, "") if found is None else (found["what"], found["unit"])
+
+
+def further_columns(names: Iterable[str], table: str, n: int) -> tuple[str, ...]:
+    """Those of a table's names that the contract does not know and that end in a unit: what else was recorded."""
+    known = table_format(table, n).known()
+    return tuple(name for name in names if name not in known and is_further(name))
 
 
 def table_format(table: str, n: int) -> TableFormat:

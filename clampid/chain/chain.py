@@ -20,7 +20,7 @@ from clampid.chain.compiled import Rowwise
 from clampid.chain.row_symbols import RowSymbols, offer_friction_state, offer_torque, parameter_columns
 from clampid.chain.stage_chain import StageChain
 from clampid.chain.steady import Steady, parted
-from clampid.effect import Effect, EffectError
+from clampid.effect import SIGNALS, Effect, EffectError
 from clampid.slots import Layout, Slot
 
 __all__ = ["FOLLOWING", "Chain", "Deviations", "build_chain", "recorded"]
@@ -204,8 +204,9 @@ def recorded(signals: Mapping[str, Array], name: str) -> Array:
     EffectError
         It is that of a sensor that no table has.
     """
-    if name.startswith("temp_") and name not in signals:
-        raise EffectError(f"an effect of the model reads {name}, and these tables have no column {name}_C")
+    if name not in signals and name not in SIGNALS:
+        column = f"{name}_C" if name.startswith("temp_") else name
+        raise EffectError(f"an effect of the model reads {name}, and these tables have no column {column}")
     return signals[name]
 
 

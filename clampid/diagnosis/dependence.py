@@ -14,6 +14,7 @@ from typing import Literal
 
 from clampid.effect import EffectError, Stage, signal
 from clampid.stages.stage_kind import kind_of
+from experiments.columns import is_further, parted
 
 __all__ = ["AXES", "Dependence", "Place", "Variable", "dependence"]
 
@@ -30,7 +31,7 @@ class Variable:
     Attributes
     ----------
     name
-        Column name without unit, such as ``q4``.
+        Column name without unit, such as ``q4``; of a column beyond the contract with its unit.
     signals
         Signals of :data:`clampid.effect.SIGNALS` that it is read from.
     code
@@ -102,6 +103,7 @@ class _Kind:
 
 
 _ANGLE, _HOUR, _WARM = "rad", 3600.0, 10.0
+_FURTHER_SCALE: Mapping[str, float] = {"s": _HOUR, "C": _WARM, "K": _WARM, "percent": 10.0, "Pa": 1e5}  # by unit
 _MOTOR_LOAD = _Kind(("torque",), ("(x.transmission @ x.torque)[{i}]",), "powers", 10.0, "Nm")
 _ANYWHERE: Mapping[str, _Kind] = {
     "q": _Kind(("q",), ("x.q[{i}]",), "winding", unit=_ANGLE),
@@ -157,7 +159,8 @@ def dependence(depends_on: Sequence[str], at: str, stage: Stage | None = None, j
     Parameters
     ----------
     depends_on
-        Column names without unit: ``q4``, ``dir2``, ``time``, ``temp_link2``, ``tau3``, ``qd1``, ``z``, ``motor3``.
+        Column names without unit: ``q4``, ``dir2``, ``time``, ``temp_link2``, ``tau3``, ``qd1``, ``z``, ``motor3``. Of
+        poses also columns beyond the contract, with their unit, such as ``humidity_percent``.
     at
         ``joint4``, ``motor4``, ``link4``, ``flange``, ``tool``, ``base``, ``fixture``, ``instrument``.
     stage
@@ -217,6 +220,8 @@ def _variable(name: str, stage: Stage) -> Variable:
     kind = _KINDS[stage].get(head)
     if kind is None and signal(name) is not None and name.startswith("temp_"):  # any other sensor
         return Variable(name, (name,), (f"x.{name}",), None, "powers", _WARM, "K")
+    if stage == "poses" and is_further(name) and _split(parted(name)[0])[0] not in _KINDS[stage]:
+        return Variable(name, (name,), (f"x.{name}",), None, "powers", _FURTHER_SCALE.get(parted(name)[1], 1.0), "")
     if kind is None or kind.numbered != (number > 0) or number < 0:
         known = ", ".join(_listed((k, v.numbered) for k, v in _KINDS[stage].items()))
         raise EffectError(f"variable {name!r} is not known in {stage}; known: {known}")

@@ -16,9 +16,11 @@ from clampid.evidence.columns import Columns, Levers, Products, channel_starts, 
 from clampid.evidence.of_size import SIZES
 from clampid.fitting.solve import Estimate
 from clampid.search_policy import JOINT_ANGLE_PERIODIC
+from clampid.signals import SIGNALS
 from clampid.stages import poses
 from clampid.stages.rows import Array, Rows
 from clampid.stages.temperatures import shared_temperatures
+from experiments.columns import is_further
 
 __all__ = ["JOINT_ANGLE_PERIODIC", "probes"]
 
@@ -120,9 +122,10 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
 
 
 def _air(rows: Rows) -> list[Covariate]:
-    """Temperatures that belong to no single link or motor: of the surroundings, and of other sensors."""
-    warm = {name: _scaled(values)[:, None] for name, values in shared_temperatures(rows).items()}
-    return [(name, (name,), x) for name, x in warm.items() if np.any(x)]
+    """What belongs to no single link or motor: temperatures of surroundings and other sensors, and further columns."""
+    further = {name: values for name, values in rows.signals.items() if name not in SIGNALS and is_further(name)}
+    found = {name: _scaled(values)[:, None] for name, values in (shared_temperatures(rows) | further).items()}
+    return [(name, (name,), x) for name, x in found.items() if np.any(x)]
 
 
 def _by_other_joints(rows: Rows) -> list[Covariate]:

@@ -27,6 +27,7 @@ from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array
 from clampid.stages.stage_kind import known_of, only_of
 from experiments.campaign import Campaign, Instrument, Tool, target_points
+from experiments.columns import is_further
 from experiments.measures.metrics import norm_metrics
 from experiments.temperatures import REFERENCE_TEMPERATURE
 from kinematics.gravity import STANDARD_GRAVITY
@@ -325,10 +326,12 @@ def _drawn(
     data |= {f"q{i + 1}_rad": q[:, i] for i in range(n)}
     data |= {f"dir{i + 1}": sides for i, sides in enumerate(rng.choice([-1, 1], (n, len(q))))}
     data |= {f"temp_{part}{i + 1}_C": warm for part in ("link", "motor") for i in range(n)}
+    stage = only_of(model.stages, "points")
+    reading = [effects[name] for name in {s.effect for s in stage.slots} if set(effects[name].acts) == {INSTRUMENT}]
+    data |= {name: 0.0 for e in reading for name in e.needs if is_further(name)}  # an instrument's errors are left out
     campaigns = [load] * len(model.sessions)
     campaigns[session] = replace(load, tables={"poses": pd.DataFrame(data)})
     base = {k: s.base_reference for k, s in enumerate(model.sessions) if s.base_reference is not None}
-    stage = only_of(model.stages, "points")
     return fit_problem(pose_rows(campaigns, model.layout, "poses", base), effects, stage.slots, stage.lean)
 
 

@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clampid.report.stage_data import StageData
+from clampid.signals import SIGNALS
 from clampid.stages.rows import Array, Bools
 from experiments.checks.clock import counts_rows
+from experiments.columns import is_further
 
 __all__ = ["Trend", "Variable", "explained", "trend", "variables_of"]
 
@@ -91,7 +93,7 @@ def variables_of(data: StageData) -> tuple[Variable, ...]:
         found.append(Variable("time", "number of the row", time))
     else:
         found.append(Variable("time", f"time, {unit}", (time - time.min()) / factor))
-    found += _temperatures(data)
+    found += [*_temperatures(data), *_further(data)]
     if data.kind.points:
         position = data.stacked("position")
         found += [Variable(a, f"{a} in the instrument's frame, m", position[:, k]) for k, a in enumerate("xyz")]
@@ -129,6 +131,13 @@ def _temperatures(data: StageData) -> list[Variable]:
                 where = name.removeprefix("temp_")
                 found.append(Variable(name, f"temperature of {where}, °C", series.to_numpy(float)))
     return found
+
+
+def _further(data: StageData) -> list[Variable]:
+    """Columns beyond the contract that all rows have as signals."""
+    names = [name for name in data.first.rows.signals if name not in SIGNALS and is_further(name)]
+    everywhere = [name for name in names if all(name in p.rows.signals for p in data.pieces)]
+    return [Variable(name, f"column {name}", data.stacked(name)) for name in everywhere]
 
 
 def _table(data: StageData) -> str:

@@ -9,13 +9,14 @@ import numpy as np
 import pandas as pd
 
 from clampid.slots import Layout
+from clampid.stages.further_columns import further_signals
 from clampid.stages.loads import standing_loads
 from clampid.stages.row_constants import PoseConstants, joined
 from clampid.stages.rows import Array, Bools, Rows
 from clampid.stages.statements import stated_base_pose, statements_of
 from clampid.stages.temperatures import link_recorded, temperatures
 from experiments.campaign import Campaign, Instrument
-from experiments.columns import POSES
+from experiments.columns import POSES, is_further
 from experiments.measures.lateration import locate
 from experiments.temperatures import filled
 from kinematics.poe import forward
@@ -260,6 +261,7 @@ def _one(
         **standing_loads(campaign, q),
         "sag_torque": np.zeros((count, n)),
         **temperatures(frame, n),
+        **further_signals(frame, {t: campaign.tables[t] for t in own}, n),
     }
     return Rows(
         stage="poses",
@@ -327,6 +329,8 @@ def join_rows(parts: Sequence[Rows]) -> Rows:
         return np.c_[a, np.full((len(a), width - a.shape[1]), fill)] if a.shape[1] < width else a
 
     names = dict.fromkeys(name for p in parts for name in p.signals)  # not every session has every sensor
+    have = {k: [p.signals[k] for p in parts if k in p.signals] for k in names}
+    absent = {k: float(np.mean(np.concatenate(v))) if is_further(k) else 0.0 for k, v in have.items()}
     first, shift_unit, shift_fold = parts[0], 0, 0
     units, folds = [], []
     for p in parts:
@@ -337,7 +341,7 @@ def join_rows(parts: Sequence[Rows]) -> Rows:
         stage="poses",
         robot=first.robot,
         layout=first.layout,
-        signals={k: np.concatenate([p.signals.get(k, np.zeros(len(p))) for p in parts]) for k in names},
+        signals={k: np.concatenate([p.signals.get(k, np.full(len(p), absent[k])) for p in parts]) for k in names},
         measured=np.concatenate([widen(p.measured, 0.0) for p in parts]),
         sigma=np.concatenate([widen(p.sigma, 1.0) for p in parts]),
         used=np.concatenate([widen(p.used.astype(float), 0.0) for p in parts]) > 0.5,

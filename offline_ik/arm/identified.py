@@ -30,6 +30,7 @@ from clampid.stages.pose_kernel import link_points, pose_function
 from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.poses import constants_of
 from clampid.stages.stage_kind import kind_of, known_of
+from experiments.columns import is_further
 from kinematics.gravity import STANDARD_GRAVITY
 from kinematics.robot import RobotDescription
 from kinematics.screws import cayley
@@ -190,6 +191,8 @@ class IdentifiedArm:
             "flank": ca.SX.zeros(self.n),
             "sag_torque": ca.SX.zeros(self.n),
         }  # of these what presses is independent
+        moving = {name for e in active if set(e.acts) != {"measurement"} for name in e.needs}
+        fixed |= {name: ca.SX.zeros(1) for name in row.flats if is_further(name) and name not in moving}
         signals = fixed | {name: self._signal(name, q, conditions, loads) for name in row.flats if name not in fixed}
 
         def evaluated() -> Any:

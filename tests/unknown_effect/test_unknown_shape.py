@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
 import subprocess
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -166,6 +168,39 @@ def test_from_a_verdict_to_a_command(simulated, tmp_path: Path, monkeypatch: pyt
     assert left.max() < 0.25 * np.linalg.norm(moved, axis=1).max()
     run("ik", "mended.json", "--gamma", "0.3", "--delta", "0.4", "--r", "0.6", "-q", cwd=tmp_path)
     run("export", "dh", "mended.json", "-o", "table.csv", cwd=tmp_path)
+
+
+@pytest.mark.slow
+def test_a_column_beyond_the_contract_is_found_and_made_an_effect(simulated, tmp_path: Path, run: Run):
+    """Readings that shift with the humidity, which the campaign's author thought of recording."""
+    folder = tmp_path / "arm"
+    shutil.copytree(simulated().path, folder)
+    rng = np.random.default_rng(5)
+    for table in ("poses", "verification"):
+        frame = pd.read_parquet(folder / f"{table}.parquet")
+        _, visit = np.unique(frame[["pose", "visit"]].to_numpy(), axis=0, return_inverse=True)
+        humidity = rng.uniform(30.0, 60.0, visit.max() + 1)[visit.ravel()]
+        frame["x_m"] += 2e-5 * (humidity - 45.0)
+        frame["humidity_percent"], frame["remark"] = humidity, "fine"
+        frame.loc[:2, "humidity_percent"] = np.nan
+        frame.to_parquet(folder / f"{table}.parquet")
+    run("identify", "arm", "-o", "model.json", "-q", cwd=tmp_path)
+    run("diagnose", "model.json", "arm", "--json", "found.json", "-q", cwd=tmp_path)
+    found = json.loads((tmp_path / "found.json").read_text())["stages"]["poses"]
+    assert (found["verdict"], found["depends_on"]) == ("unknown", ["humidity_percent"])
+    shape = found["shape"]
+    run(*shlex.split(shape["command"])[1:], cwd=tmp_path)
+    own = f"{shape['name']}.py"
+    wrote = run(
+        "add", shape["name"], "model.json", "arm", "-o", "mended.json", "--effects-from", own, "-q", "--json", "-",
+        cwd=tmp_path,
+    )  # fmt: skip
+    part = json.loads(wrote)["stages"]["poses"]
+    assert part["heldout_rms_before"] > 1.3 * part["noise_floor"]
+    assert part["heldout_rms_after"] < NEAR * part["noise_floor"]
+    command = ("mended.json", "--gamma", "0.3", "--delta", "0.4", "--r", "0.6", "-q", "--effects-from", own)
+    run("ik", *command, cwd=tmp_path)  # a command needs no error of the instrument
+    run("export", "dh", "mended.json", "-o", "table.csv", "--effects-from", own, cwd=tmp_path)
 
 
 OTHERS = {

@@ -198,7 +198,7 @@ EFFECTS = (
     HiddenEffect("pose_surface", None, _POSES, _PAIRS, _pose_surface, lambda w: _two("q", "q", w)),
     HiddenEffect("damaged_tooth", None, _POSES, everywhere(3), _damaged_tooth, lambda w: (f"q{_numbers(w)[0]}",)),
     HiddenEffect("directed_sag", None, _POSES, _PAIRS, _directed_sag, lambda w: _two("q", "dir", w)),
-    HiddenEffect("base_swing", None, _POSES, fixed("base"), _base_swing, lambda w: ("dir1", "approach_qd1")),
+    HiddenEffect("base_swing", None, _POSES, fixed("base"), _base_swing, lambda w: ("dir1", "approach_qd1_rad_s")),
     HiddenEffect("time_of_day", None, _POSES, fixed("instrument"), _time_of_day, lambda w: ("time",)),
     HiddenEffect("layered_air", None, _POSES, fixed("instrument"), _layered_air, lambda w: ("x", "y", "z")),
     HiddenEffect(
