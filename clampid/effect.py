@@ -303,6 +303,11 @@ class Effect:
         return replace(self, name=f"second_{self.name}", search=search, meaning=f"{self.name}, a second time")
 
     @property
+    def of_readings(self) -> bool:
+        """Whether it alters the instrument's readings alone, so that neither a command nor an export has it."""
+        return set(self.acts) == {"measurement"}
+
+    @property
     def of_session(self) -> bool:
         """Whether all its amplitudes belong to single sessions, so that it predicts nothing for others."""
         kinds = {p.per for p in self.parameters if not p.shape}

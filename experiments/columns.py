@@ -115,7 +115,7 @@ def temperature_columns(names: Iterable[str]) -> tuple[str, ...]:
 
 def is_further(name: str) -> bool:
     """Whether a column that the contract does not know has a name that it allows: one that ends in an SI unit."""
-    return _FURTHER.fullmatch(name) is not None
+    return bool(parted(name)[1])
 
 
 def parted(name: str) -> tuple[str, str]:

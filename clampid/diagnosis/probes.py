@@ -16,11 +16,10 @@ from clampid.evidence.columns import Columns, Levers, Products, channel_starts, 
 from clampid.evidence.of_size import SIZES
 from clampid.fitting.solve import Estimate
 from clampid.search_policy import JOINT_ANGLE_PERIODIC
-from clampid.signals import SIGNALS
 from clampid.stages import poses
+from clampid.stages.further_columns import further_of
 from clampid.stages.rows import Array, Rows
 from clampid.stages.temperatures import shared_temperatures
-from experiments.columns import is_further
 
 __all__ = ["JOINT_ANGLE_PERIODIC", "probes"]
 
@@ -78,9 +77,9 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     slow = np.column_stack([elapsed, elapsed**2])
     found: list[Candidate | None] = []
     levers = _levers(estimate, sensitivity[:, :, offsets["joint_angle"]])
-    air = _air(rows)
+    around = _surroundings(rows)
     others = _by_other_joints(rows)
-    common, alone = [*others, *air], [c for c in others if len(c[1]) == 1]
+    common, alone = [*others, *around], [c for c in others if len(c[1]) == 1]
     for j in range(n):
         q, load = s["q"][:, j], _scaled(s["gravity_torque"][:, j])
         own: list[Covariate] = [
@@ -101,7 +100,7 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
         link = int(name[4:]) if name.startswith("link") else (1 if name == "base" else n)
         warm = _scaled(s["link_temperature"][:, link - 1])
         found.append(_at(frame, range(6), name, f"temp_link{link}", (f"temp_link{link}",), warm[:, None]))
-        found += [_at(frame, range(6), name, what, variables, x) for what, variables, x in air]
+        found += [_at(frame, range(6), name, what, variables, x) for what, variables, x in around]
         if name in ("base", "flange"):  # what turns or stops there moves them, and no joint's error can say it
             found += [_at(frame, range(6), name, what, variables, x) for what, variables, x in alone]
     place = np.column_stack([_scaled(column) for column in rows.signals["position"].T])
@@ -111,7 +110,7 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
         readings.append((f"position along {a} times {b}", both, (place[:, i] * place[:, k])[:, None]))
     share = s["elapsed"] / max(float(np.ptp(s["elapsed"])), 1e-300)
     swings = np.column_stack([slow, _harmonics(2.0 * np.pi * share, SWINGS)])
-    for what, variables, reading in (*readings, *air, ("swing in time", ("time",), swings)):
+    for what, variables, reading in (*readings, *around, ("swing in time", ("time",), swings)):
         count = reading.shape[1]
         columns = np.zeros((len(rows), width, 3 * count))
         for axis in range(3):
@@ -121,10 +120,10 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     return [p for p in found if p is not None]
 
 
-def _air(rows: Rows) -> list[Covariate]:
+def _surroundings(rows: Rows) -> list[Covariate]:
     """What belongs to no single link or motor: temperatures of surroundings and other sensors, and further columns."""
-    further = {name: values for name, values in rows.signals.items() if name not in SIGNALS and is_further(name)}
-    found = {name: _scaled(values)[:, None] for name, values in (shared_temperatures(rows) | further).items()}
+    recorded = shared_temperatures(rows) | further_of(rows)
+    found = {name: _scaled(values)[:, None] for name, values in recorded.items()}
     return [(name, (name,), x) for name, x in found.items() if np.any(x)]
 
 
@@ -199,7 +198,7 @@ def _periodic(rows: Rows, levers: Levers) -> Candidate | None:
 def _log_covariates(rows: Rows) -> list[list[Covariate]]:
     s, n = rows.signals, rows.robot.n
     T = np.asarray(rows.robot.transmission)
-    elapsed, air = _scaled(s["elapsed"]), _air(rows)
+    elapsed, around = _scaled(s["elapsed"]), _surroundings(rows)
     loads = s["gravity_torque"] @ T.T
     sizes = np.abs(loads) / np.maximum(loads.std(axis=0), 1e-300)
     waves = [_harmonics(s["q"][:, k], 1) for k in range(n)]
@@ -239,7 +238,7 @@ def _log_covariates(rows: Rows) -> list[list[Covariate]]:
             ("time", ("time",), np.column_stack([elapsed, elapsed**2])),
             ("motion times time", (f"qd{name}", "time"), np.column_stack([sign * elapsed, w * elapsed])),
         ]
-        for what, variables, x in air:
+        for what, variables, x in around:
             own.append((what, variables, x))
             own.append((f"motion times {what}", (f"qd{name}", *variables), np.column_stack([sign, w]) * x))
         for k in range(n):
@@ -269,7 +268,7 @@ def _sweep_covariates(rows: Rows) -> list[list[Covariate]]:
     s, n = rows.signals, rows.robot.n
     T = np.asarray(rows.robot.transmission)
     elapsed, fraction = _scaled(s["elapsed"]), s["sweep_fraction"] - 0.5
-    air = _air(rows)
+    around = _surroundings(rows)
     out = []
     for i in range(n):
         sign, mine = s["motor_motion"][:, i], (rows.sweep.driven == i).astype(float)
@@ -284,7 +283,7 @@ def _sweep_covariates(rows: Rows) -> list[list[Covariate]]:
                 np.column_stack([sign * elapsed, sign * fraction]),
             ),
             (f"temp_motor{name}", (f"temp_motor{name}",), _scaled(s["motor_temperature"][:, i])[:, None]),
-            *air,
+            *around,
         ]
         for k in range(n):
             x = rows.sweep.wound[:, k] * np.sqrt(stiff)

@@ -51,7 +51,6 @@ POSTURES = 200
 CHECKED = 2000  # postures, drawn apart from those that a form was fitted to or read back at
 SHIFT_SECONDS = 8 * 3600.0
 """s, over which the postures are spread: what settles or warms up is not at its beginning only."""
-INSTRUMENT = "measurement"  # the station of what is the instrument's and not the robot's
 
 Flange = Callable[[Array], Array]
 """Poses ``(N, 4, 4)`` of the flange in the instrument's frame at joint values of the chain ``(N, n)``, rad or m."""
@@ -273,7 +272,7 @@ def whole_model(
     loaded = replace(_load(model, session, robot) if campaign is None else replace(campaign, tables={}), robot=robot)
     q = postures(robot, CHECKED, seed=1) if q is None else q
     trial = _drawn(model, loaded, effects, session, span, q)
-    left = tuple(e.name for e in active if not e.roles & set(FRAMES) and set(e.acts) != {INSTRUMENT})
+    left = tuple(e.name for e in active if not e.roles & set(FRAMES) and not e.of_readings)
     return WholeModel(trial, stage, left, effects, span, float(loaded.tool.mass))
 
 
@@ -327,7 +326,7 @@ def _drawn(
     data |= {f"dir{i + 1}": sides for i, sides in enumerate(rng.choice([-1, 1], (n, len(q))))}
     data |= {f"temp_{part}{i + 1}_C": warm for part in ("link", "motor") for i in range(n)}
     stage = only_of(model.stages, "points")
-    reading = [effects[name] for name in {s.effect for s in stage.slots} if set(effects[name].acts) == {INSTRUMENT}]
+    reading = [effects[name] for name in {s.effect for s in stage.slots} if effects[name].of_readings]
     data |= {name: 0.0 for e in reading for name in e.needs if is_further(name)}  # an instrument's errors are left out
     campaigns = [load] * len(model.sessions)
     campaigns[session] = replace(load, tables={"poses": pd.DataFrame(data)})
@@ -339,7 +338,7 @@ def _flange(trial: FitProblem, theta: Array) -> Array:
     """Poses ``(N, 4, 4)`` of the flange in the instrument's frame, whose own errors are left out."""
     found = poses.evaluate(trial.rows, trial.chain, theta)
     values = np.array(found.values)
-    values[:, trial.chain.offsets[INSTRUMENT]] = 0.0
+    values[:, trial.chain.offsets["measurement"]] = 0.0
     position, rotation, _ = poses.predict(trial.rows, replace(found, values=values))
     out = np.tile(np.eye(4), (len(position), 1, 1))
     out[:, :3, :3], out[:, :3, 3] = rotation, position

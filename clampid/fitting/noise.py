@@ -192,11 +192,8 @@ class Noise:
             return np.asarray(out)
         groups = groups_of(rows, index, self.together)
         whitener = Whitener(groups.row, groups.stretch)
-        means, predictors, entry = (
-            groups.mean(out),
-            Predictors(self.autocorrelations[channel]),
-            self._middle(rows, index),
-        )
+        means, entry = groups.mean(out), self._middle(rows, index)
+        predictors = Predictors(self.autocorrelations[channel])
         if not self.one_level:
             return self._without_wander(rows, channel, entry, whitener(means, predictors))
         both = whitener(np.c_[means, np.ones(len(means))], predictors)  # a constant level passes the same filter

@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clampid.report.stage_data import StageData
-from clampid.signals import SIGNALS
+from clampid.stages.further_columns import further_of
 from clampid.stages.rows import Array, Bools
 from experiments.checks.clock import counts_rows
-from experiments.columns import is_further
 
 __all__ = ["Trend", "Variable", "explained", "trend", "variables_of"]
 
@@ -135,8 +134,7 @@ def _temperatures(data: StageData) -> list[Variable]:
 
 def _further(data: StageData) -> list[Variable]:
     """Columns beyond the contract that all rows have as signals."""
-    names = [name for name in data.first.rows.signals if name not in SIGNALS and is_further(name)]
-    everywhere = [name for name in names if all(name in p.rows.signals for p in data.pieces)]
+    everywhere = [name for name in further_of(data.first.rows) if all(name in p.rows.signals for p in data.pieces)]
     return [Variable(name, f"column {name}", data.stacked(name)) for name in everywhere]
 
 

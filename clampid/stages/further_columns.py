@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from clampid.stages.rows import Array
-from experiments.columns import further_columns
+from clampid.stages.rows import Array, Rows
+from experiments.columns import further_columns, is_further
 
-__all__ = ["further_signals"]
+__all__ = ["further_of", "further_signals"]
 
 
 def further_signals(frame: pd.DataFrame, others: Mapping[str, pd.DataFrame], n: int) -> dict[str, Array]:
@@ -36,6 +36,11 @@ def further_signals(frame: pd.DataFrame, others: Mapping[str, pd.DataFrame], n: 
             own = every[0] if name in frame else np.full(len(frame), np.nan)
             out[name] = np.where(np.isfinite(own), own, known.mean())
     return out
+
+
+def further_of(rows: Rows) -> dict[str, Array]:
+    """The further columns ``(N,)`` that rows have as signals, by name."""
+    return {name: values for name, values in rows.signals.items() if is_further(name)}
 
 
 def _numbers(column: pd.Series) -> Array:

@@ -50,7 +50,7 @@ def export_screen(kind: str, found: Exported, output: Path, next_steps: tuple[Ne
 
 
 def _rounding(difference: float) -> str:
-    """A difference of positions in m, which is that of the last digits only."""
+    """How far apart positions are that were read back, at least 1 nm: what is less is rounding."""
     return error_text(difference, "m") if difference > EXACT else "1 nm"
 
 

@@ -191,7 +191,7 @@ class IdentifiedArm:
             "flank": ca.SX.zeros(self.n),
             "sag_torque": ca.SX.zeros(self.n),
         }  # of these what presses is independent
-        moving = {name for e in active if set(e.acts) != {"measurement"} for name in e.needs}
+        moving = {name for e in active if not e.of_readings for name in e.needs}
         fixed |= {name: ca.SX.zeros(1) for name in row.flats if is_further(name) and name not in moving}
         signals = fixed | {name: self._signal(name, q, conditions, loads) for name in row.flats if name not in fixed}
 
