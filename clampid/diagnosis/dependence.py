@@ -220,7 +220,7 @@ def _variable(name: str, stage: Stage) -> Variable:
     kind = _KINDS[stage].get(head)
     if kind is None and signal(name) is not None and name.startswith("temp_"):  # any other sensor
         return Variable(name, (name,), (f"x.{name}",), None, "powers", _WARM, "K")
-    if stage == "poses" and is_further(name) and _split(parted(name)[0])[0] not in _KINDS[stage]:
+    if kind_of(stage).points and is_further(name) and _split(parted(name)[0])[0] not in _KINDS[stage]:
         return Variable(name, (name,), (f"x.{name}",), None, "powers", _FURTHER_SCALE.get(parted(name)[1], 1.0), "")
     if kind is None or kind.numbered != (number > 0) or number < 0:
         known = ", ".join(_listed((k, v.numbered) for k, v in _KINDS[stage].items()))
