@@ -9,6 +9,7 @@ import pandas as pd
 
 from clampid.stages.rows import Array, Rows
 from experiments.columns import further_columns, is_further
+from experiments.further import numbers
 
 __all__ = ["further_of", "further_signals"]
 
@@ -16,7 +17,7 @@ __all__ = ["further_of", "further_signals"]
 def further_signals(frame: pd.DataFrame, others: Mapping[str, pd.DataFrame], n: int) -> dict[str, Array]:
     """Every further column of numbers, by its name: ``(N,)``, in its own unit.
 
-    An empty cell has the mean of the others. Such a row does not determine the dependence.
+    An empty cell, or one that is not finite, has the mean of the others. Such a row does not determine the dependence.
 
     Parameters
     ----------
@@ -30,7 +31,7 @@ def further_signals(frame: pd.DataFrame, others: Mapping[str, pd.DataFrame], n: 
     names = dict.fromkeys(c for table, f in others.items() for c in further_columns(map(str, f.columns), table, n))
     out: dict[str, Array] = {}
     for name in names:
-        every = [_numbers(f[name]) for f in (frame, *others.values()) if name in f]
+        every = [numbers(f[name]) for f in (frame, *others.values()) if name in f]
         known = next((v[np.isfinite(v)] for v in every if np.isfinite(v).any()), None)
         if known is not None:
             own = every[0] if name in frame else np.full(len(frame), np.nan)
@@ -41,11 +42,3 @@ def further_signals(frame: pd.DataFrame, others: Mapping[str, pd.DataFrame], n: 
 def further_of(rows: Rows) -> dict[str, Array]:
     """The further columns ``(N,)`` that rows have as signals, by name."""
     return {name: values for name, values in rows.signals.items() if is_further(name)}
-
-
-def _numbers(column: pd.Series) -> Array:
-    """A column of numbers ``(N,)``; not finite where it is empty, and everywhere if it is of another type."""
-    types = pd.api.types
-    if not types.is_numeric_dtype(column) or types.is_bool_dtype(column):
-        return np.full(len(column), np.nan)
-    return column.to_numpy(float, na_value=np.nan)

@@ -135,4 +135,6 @@ def contents(table: Mapping[str, Any]) -> str:
         value = table.get(key)
         if value:
             words.append(_counted(len(value), word) if isinstance(value, list) else word)
+    if table.get("variables"):
+        words.append(f"also {', '.join(table['variables'])}")
     return "; ".join(words)

@@ -16,6 +16,7 @@ from experiments.checks.clock import clock_findings, counts_rows
 from experiments.checks.distances import distance_findings
 from experiments.checks.finding import Finding
 from experiments.checks.friction import friction_findings
+from experiments.checks.further import further_findings, further_variables
 from experiments.checks.motion import motion_findings, moved_joints, replicates
 from experiments.checks.moving_log import moving_logs
 from experiments.checks.points import point_findings
@@ -59,6 +60,7 @@ def check_campaign(campaign: Campaign, *, fits: bool = False) -> tuple[Finding, 
         *signal_findings(campaign, wrong, weighed),
         *friction_findings(campaign, {table: log for table, log in logs.items() if table not in weighed}),
         *temperature_findings(campaign),
+        *further_findings(campaign),
         *clock_findings(campaign),
         *motion_findings(campaign, wrong),
         *speed_findings(campaign, wrong),
@@ -85,7 +87,8 @@ def holdings(campaign: Campaign) -> dict[str, Any]:
         ``rows``, ``duration_s`` (None where times only count rows), ``joints_moved`` (from 1; in ``clamped`` those
         driven), ``temperatures``; for logs
         ``runs`` (or ``sweeps``) and ``velocities`` or ``fixture``; for poses ``poses``, ``visits``, ``replicates``,
-        ``targets``, ``orientation`` and ``directions``, for distances ``anchors``, too; for inclinations ``bodies``.
+        ``targets``, ``orientation``, ``directions`` and ``variables`` (further columns that effects can depend on), for
+        distances ``anchors``, too; for inclinations ``bodies``.
     """
     return {
         "campaign": campaign.name,
@@ -128,4 +131,5 @@ def _table(campaign: Campaign, table: str) -> dict[str, Any]:
         **({"anchors": sorted(set(frame["anchor"]))} if table == "distances" else {}),
         "orientation": QUATERNION[0] in frame,
         "directions": bool(frame.filter(regex=r"^dir\d+$").to_numpy().any()),
+        "variables": further_variables(campaign, table),
     }
