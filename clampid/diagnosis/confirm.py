@@ -126,12 +126,12 @@ def probe_held_out_fall(estimate: Estimate, verification: Rows, probe: Candidate
     J, r = white.jacobian, white.residual
     precision = estimate.prior_precision
     start = J[fit].T @ r[fit] + precision @ (estimate.prior_mean - estimate.theta)
-    before = np.linalg.lstsq(J[fit].T @ J[fit] + precision, start, rcond=None)[0]
+    before = _solution(J[fit].T @ J[fit] + precision, start)
     wide, count = np.c_[J, D], J.shape[1]
     A = wide[fit].T @ wide[fit]
     A[:count, :count] += precision
     A[count:, count:] += _assumed(found, D[fit], rows.unit[white.entry[fit]])
-    after = np.linalg.lstsq(A, np.r_[start, D[fit].T @ r[fit]], rcond=None)[0]
+    after = _solution(A, np.r_[start, D[fit].T @ r[fit]])
     test = ~fit
     squares_before, squares_after = (r - J @ before)[test] ** 2, (r - wide @ after)[test] ** 2
     return _fall(squares_before, squares_after, both.unit[white.entry[test]], seed)
@@ -218,8 +218,13 @@ def _cross_fitted(J: Array, r: Array, precision: Array, moment: Array, unit: Int
         test = part == k
         A = gram - J[test].T @ J[test]
         b = moment - J[test].T @ r[test]
-        null = np.linalg.lstsq(A[:first, :first], b[:first], rcond=None)[0]
-        full = np.linalg.lstsq(A, b, rcond=None)[0]
+        null = _solution(A[:first, :first], b[:first])
+        full = _solution(A, b)
         before[test] = (r[test] - J[test, :first] @ null) ** 2
         after[test] = (r[test] - J[test] @ full) ** 2
     return _fall(before, after, unit, seed)
+
+
+def _solution(normal: Array, moment: Array) -> Array:
+    """Least-norm solution ``(P,)`` of normal equations. From eigenvalues, whose search ends at any range of sizes."""
+    return np.asarray(np.linalg.pinv(normal, rcond=len(normal) * np.finfo(float).eps, hermitian=True) @ moment)

@@ -299,7 +299,8 @@ def _charge(reach: Array, amplitude: Array, space: Space) -> float:
     reach
         ``(k, f)``: effect of each parameter, at its reasonable size, on the components ``amplitude`` of the residual.
     """
-    _, gain, turn = np.linalg.svd(reach / space.scale, full_matrices=False)
+    # gesvd: the quicker routine fails now and then where the sizes span twenty decades.
+    _, gain, turn = linalg.svd(reach / space.scale, full_matrices=False, lapack_driver="gesvd")
     component = turn @ amplitude / space.scale
     return float(component @ component) - 2.0 * of_any_size(gain**2, component)
 

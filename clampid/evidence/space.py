@@ -14,7 +14,7 @@ from clampid.fitting.solve import Estimate
 from clampid.stages.fit_problem import FIXED_STD
 from clampid.stages.rows import Array, Bools, Integers
 
-__all__ = ["ABSORBED", "Space", "space_of"]
+__all__ = ["ABSORBED", "Space", "space_of", "unshrunk"]
 
 ABSORBED = 1e-6  # squared share of a direction that is left after projection: with less, it is absorbed
 OPEN_VARIANCE_RATIO = 4.0  # a parameter whose standard error is twice its fixing prior was fixed by the fit itself
@@ -105,9 +105,14 @@ def unshrunk(residual: Array, basis: Array, unit: Integers) -> Array:
     order = np.argsort(unit, kind="stable")
     for entries in np.split(order, np.flatnonzero(np.diff(unit[order])) + 1):
         Q_u = basis[entries]
-        left, size, _ = np.linalg.svd(Q_u, full_matrices=False)
-        share = np.minimum(size**2, 1.0 - SMALLEST_NOISE_LEFT)
-        out[entries] += left @ ((1.0 / np.sqrt(1.0 - share) - 1.0) * (left.T @ residual[entries]))
+        # Not by singular values: where they span twenty decades, LAPACK's quick routine now and then finds none.
+        tall = len(Q_u) > Q_u.shape[1]
+        share, turn = np.linalg.eigh(Q_u.T @ Q_u if tall else Q_u @ Q_u.T)
+        left = np.sqrt(1.0 - np.clip(share, 0.0, 1.0 - SMALLEST_NOISE_LEFT))
+        if tall:  # (1 / left - 1) / share, without cancellation where the share is small
+            out[entries] += Q_u @ (turn @ (turn.T @ (Q_u.T @ residual[entries]) / (left * (1.0 + left))))
+        else:
+            out[entries] += turn @ ((1.0 / left - 1.0) * (turn.T @ residual[entries]))
     return out
 
 

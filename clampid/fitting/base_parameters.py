@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy import linalg
 
 from clampid.fitting.base_names import BaseParameter, base_name
 from clampid.fitting.log_sample import sampled_rows
@@ -135,7 +136,8 @@ def regroup(columns: Array, order: Sequence[int], nuisance: Array | None = None)
     """
     basis = np.zeros((len(columns), 0))
     if nuisance is not None and nuisance.size:
-        U, s, _ = np.linalg.svd(nuisance, full_matrices=False)
+        # gesvd: the quicker routine fails now and then where the sizes span twenty decades.
+        U, s, _ = linalg.svd(nuisance, full_matrices=False, lapack_driver="gesvd")
         basis = U[:, s > EXACT * s.max(initial=0.0)]
     hidden = basis.shape[1]
     floor = NEGLIGIBLE_COLUMN * float(np.linalg.norm(columns, axis=0).max(initial=0.0))

@@ -23,7 +23,7 @@ from clampid.evidence.score import (
     score,
     tail_of,
 )
-from clampid.evidence.space import Space
+from clampid.evidence.space import Space, unshrunk
 from clampid.slots import Slot
 
 
@@ -39,6 +39,21 @@ def space(J: np.ndarray, y: np.ndarray, unit: np.ndarray | None = None) -> Space
     freedom = len(y) - J.shape[1]
     units = np.arange(len(y)) if unit is None else unit
     return Space(r, Q, units, float(np.sqrt(r @ r / freedom)), freedom, len(y), np.zeros(0))
+
+
+@pytest.mark.parametrize("entries", [3, 40])  # of a unit, fewer or more than the columns
+@pytest.mark.parametrize("decades", [0.0, 20.0])
+def test_a_residual_gets_back_what_the_fit_absorbed_of_its_unit(entries: int, decades: float):
+    rng = np.random.default_rng(7)
+    scales = 10.0 ** -np.linspace(0.0, decades, 9)
+    Q, _ = np.linalg.qr(rng.standard_normal((80, 9)))
+    Q *= scales
+    unit = np.r_[np.zeros(entries, int), np.ones(80 - entries, int)]
+    r = rng.standard_normal(80)
+    own = Q[unit == 0]
+    share, turn = np.linalg.eigh(np.eye(entries) - own @ own.T)
+    expected = turn @ (turn.T @ r[unit == 0] / np.sqrt(share))
+    np.testing.assert_allclose(unshrunk(r, Q, unit)[unit == 0], expected, rtol=1e-9, atol=1e-12)
 
 
 def test_p_values_are_uniform_where_nothing_is_missing():
