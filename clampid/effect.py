@@ -214,7 +214,7 @@ class Effect:
     coupled_only
         Stages in which it can sit only at joints that the transmission couples with others.
     holds_weight
-        Whether it holds the arm's weight: a joint that bears none, such as an upright one, does not have it.
+        Whether it holds the arm's weight: a joint that bears next to none, such as an upright one, does not have it.
     sized_by
         Its shape parameter that is the size of all its amplitudes, which are counted in it and have a prior of one.
         If it is not given, it is estimated from the rows (:mod:`clampid.evidence.of_size`); a fit keeps it fixed.

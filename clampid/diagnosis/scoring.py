@@ -35,7 +35,7 @@ __all__ = ["probed_beside_what_stands_out", "scores_of"]
 
 NOISE_ROUNDS = 4  # in which noise is learned beside what stands out, at most
 SURE = 4.0  # standard errors by which it must be clear that a size is impossible
-WEIGHTLESS = 1e-9  # of what the weight does about the joint that bears most
+WEIGHTLESS = 0.01  # of the weight's torque about the joint that bears most: nobody balances so little
 
 
 def scores_of(
@@ -157,10 +157,10 @@ def _scores_of(
 
 
 def _without_weight(s: Scored, effects: Mapping[str, Effect], rows: Rows) -> bool:
-    """Whether it would carry weight at joints that are unloaded in all rows."""
+    """Whether it would hold weight at joints that bear next to none in all rows, by the weight described."""
     if not effects[s.candidate.name].holds_weight:
         return False
-    bears = np.abs(rows.signals["regressor"]).max(axis=(0, 2), initial=0.0)
+    bears = np.abs(rows.signals["gravity_torque"]).max(axis=0, initial=0.0)
     joints = [int(place.removeprefix("joint")) - 1 for place in s.candidate.places]
     return bool(np.all(bears[joints] <= WEIGHTLESS * bears.max(initial=0.0)))
 
