@@ -27,6 +27,8 @@ WHY_FLOOR = {
     "replicates": "returns to a pose within minutes repeat better than the robot does over a session",
     "instrument": "the floor is the instrument's stated noise alone, and may be too low: measure some poses again "
     "later, from the same side",
+    "repeated_runs": "runs of the same motion repeat better than the model predicts them, so that the model lacks an "
+    "effect that these rows determine",
     "regression": "a regression on rigid-body dynamics and friction predicts these torques better than the model does, "
     "so that the model lacks an effect that these rows determine",
     "log": "the floor is the noise from row to row alone; slower noise is not in it",

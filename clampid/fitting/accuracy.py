@@ -48,7 +48,8 @@ class Floor:
         Root mean square for each channel ``(m,)``, SI. For poses ``(3,)``, with distances ``(4,)``: the mean square is
         over all rows, and rows without a channel count as zero in it, as in :func:`size_of`.
     source
-        Where it comes from: repeated poses, the instrument's stated noise, the log itself, or a regression on it.
+        Where it comes from: repeated poses, the instrument's stated noise, the log itself, runs of it with one motion,
+        or a regression on it.
     repeats
         Poses: typical repeatability of a robot of that size, rms in m; 0 where returns to poses measure it.
     freedom
@@ -56,7 +57,7 @@ class Floor:
     """
 
     sigma: Array
-    source: Literal["replicates", "instrument", "log", "regression"]
+    source: Literal["replicates", "instrument", "log", "repeated_runs", "regression"]
     repeats: float = 0.0
     freedom: int = 0
 
@@ -85,10 +86,11 @@ def noise_floor(rows: Rows, residual: Array) -> Floor:
     """The noise floor.
 
     Poses: from repeated poses with the same directions and, within 0.5 K, temperatures, if there are enough; else the
-    noise stated by the instrument's maker. Torques: the smaller of two figures, motor by motor. One is the change of
-    the residual within a few rows, so that a missing effect that varies with posture is not counted as noise. The other
-    is independent of the model: the held-out error of a regression on rigid-body dynamics and friction. It counts if it
-    is smaller by more than two standard errors; then the model lacks an effect that these rows determine.
+    noise stated by the instrument's maker. Torques: the smallest of three figures, motor by motor. One is the change of
+    the residual within a few rows, so that a missing effect that varies with posture is not counted as noise. The
+    others are independent of the model: by how much runs of one motion differ, and the held-out error of a regression
+    on rigid-body dynamics and friction. They count if they are smaller by more than two standard errors; then the model
+    lacks an effect that these rows determine.
     """
     if rows.kind.points:
         return _pose_floor(rows)

@@ -110,7 +110,7 @@ def log_errors(
         of_fit = kept[block.fold]
         floor.add(block.run[of_fit], table[of_fit])
         test.rows += int(tested.sum())
-    noise = np.minimum(_noise_floor(floor, fitted), design.facts.regression)
+    noise = np.minimum(_noise_floor(floor, fitted), design.facts.known_noise)
     return StageErrors(fitted.rms(noise), test.rms(noise), noise_floor=1.0, heldout_rows=test.rows)
 
 

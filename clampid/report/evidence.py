@@ -24,6 +24,12 @@ __all__ = [
 ]
 
 Json = Mapping[str, Any]
+FLOOR_FROM = {
+    "replicates": "returns to a pose",
+    "instrument": "instrument's maker",
+    "repeated_runs": "runs of one motion",
+    "regression": "a regression",
+}
 MOST_CONSIDERED = 12
 MOST_OUTLIERS = 40
 MOST_PARAMETERS = 80
@@ -258,9 +264,7 @@ def comparison_table(tables: Json) -> Table:
     for name, t in tables.items():
         unit = str(t.get("unit", ""))
         held_out = t.get("heldout") or {}
-        source = {"replicates": "returns to a pose", "instrument": "instrument's maker"}.get(
-            t.get("noise_source"), "the log itself"
-        )
+        source = FLOOR_FROM.get(str(t.get("noise_source")), "the log itself")
         cells = [t.get("rms"), t.get("max"), held_out.get("rms"), held_out.get("max"), t.get("noise_floor")]
         count = count_text(int(held_out["rows"])) if held_out.get("rows") else "–"
         rows.append(

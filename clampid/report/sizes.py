@@ -39,7 +39,12 @@ def sizes_figure(data: StageData) -> Figure:
         Panel(tuple(histogram), Axis("residual, units of noise (σ)", -reach, reach), Axis("density, 1/σ", 0.0)),
         Panel(tuple(quantiles), Axis("quantile of a normal distribution, σ", -4.2, 4.2), up),
     )
-    source = {"replicates": "returns to the same pose", "instrument": "what the instrument's maker states"}
+    source = {
+        "replicates": "returns to the same pose",
+        "instrument": "what the instrument's maker states",
+        "repeated_runs": "runs of the same motion",
+        "regression": "a regression on rigid-body dynamics and friction",
+    }
     origin = source.get(data.floor.source, "how the log scatters from row to row")
     what = "coordinates" if data.kind.points else "torques"
     caption = f"Single {what} of the residual in units of the noise, which is known from {origin}."

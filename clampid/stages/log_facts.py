@@ -22,6 +22,7 @@ from clampid.stages.motion_choice import (
     trusted_rows,
     ways,
 )
+from clampid.stages.repeats import repeated_noise
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.campaign import Campaign
 from experiments.columns import LOGS
@@ -79,6 +80,9 @@ class LogFacts:
         ``(n,)``: held-out error of a regression on rigid-body dynamics and friction, rms in Nm, plus two standard
         errors; infinite where the log is too short for one. It is independent of the model under test
         (:func:`clampid.stages.motion_choice.Regression`).
+    repeated
+        ``(n,)``, Nm: the same of runs that repeat a motion (:func:`clampid.stages.repeats.repeated_noise`); infinite
+        where none does, or where the log is too long to be held in memory.
     motions
         How its rows move.
     rest, rest_motor, clear, clear_motor
@@ -101,6 +105,7 @@ class LogFacts:
     spacing: float
     noise: Array
     regression: Array
+    repeated: Array
     motions: Motions
     rest: Array
     rest_motor: Array
@@ -112,6 +117,11 @@ class LogFacts:
     runs: Integers
     length: Integers
     moved: Bools
+
+    @property
+    def known_noise(self) -> Array:
+        """The smaller of the two figures that no model has shaped ``(n,)``, Nm."""
+        return np.minimum(self.regression, self.repeated)
 
     @property
     def halo(self) -> int:
@@ -198,6 +208,7 @@ def _facts_of(parts: Sequence[LogPart], window: int, in_memory: int) -> LogFacts
         spacing=float(middle[1]) if np.isfinite(middle[1]) else 0.0,
         noise=NORMAL * middle[2:] / np.sqrt(2.0),
         regression=_credible(left_out),
+        repeated=_repeated(parts, n) if rows * (2 * n + 2) <= in_memory else np.full(n, np.inf),
         motions=motions,
         rest=rest,
         rest_motor=rest_motor,
@@ -249,6 +260,16 @@ def _motions_of(parts: Sequence[LogPart], step: float, default: Way, window: int
     direct = replace(way, direct=not way.logged and way.window_s <= 2 * smallest_half() * step)
     trusted, left_out = trusted_rows(score(way), score(direct), left_out)
     return Motions(n, step, replace(direct, trusted=trusted) if trusted else way), left_out
+
+
+def _repeated(parts: Sequence[LogPart], n: int) -> Array:
+    """The noise ``(n,)``, Nm, that runs of one motion show, of all tables."""
+    positions, torques = joint_columns("q", "rad", n), joint_columns("tau", "Nm", n)
+    read = [part.table.frame(["run", "time_s", *positions, *torques]).assign(part=p) for p, part in enumerate(parts)]
+    every = [table[[*positions, *torques]].to_numpy(float) for table in read]
+    _, run = np.unique(np.concatenate([t[["part", "run"]].to_numpy() for t in read]), axis=0, return_inverse=True)
+    time, both = np.concatenate([t["time_s"].to_numpy(float) for t in read]), np.concatenate(every)
+    return repeated_noise(run.astype(np.int64), time, both[:, :n], both[:, n:])
 
 
 def _credible(left_out: Array) -> Array:

@@ -4,6 +4,9 @@ Noise of two runs is independent; what a model lacks of a motion, or what is wro
 comes back in every run that repeats it. Such runs are one piece of evidence, however often they were driven. Tests
 therefore flip, and leave out, the same stretch of all of them together, as one cluster. Source: Liang & Zeger,
 Longitudinal data analysis using generalized linear models, Biometrika 73, 1986 (errors correlated within clusters).
+
+By how much the torques of such runs differ is a noise floor that no model has shaped: the pure error of a regression
+with repeated points. Source: Draper & Smith, Applied regression analysis, 1998, sect. 2.1.
 """
 
 from __future__ import annotations
@@ -12,9 +15,13 @@ import numpy as np
 
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["with_repeats"]
+__all__ = ["repeated_noise", "with_repeats"]
 
 SAME_MOTION = 0.01  # of the joints' excursion, rms: a controller repeats a program within some milliseconds
+BLOCKS = 20  # parts of a motion, from whose spread the uncertainty of the noise follows
+FEWEST_ROWS = 100  # repeated rows: with fewer the noise is not known to a tenth
+CREDIBLE = 2.0  # standard errors
+RESOLVED = 9  # decimals of a Nm: readings that differ by less are the same
 
 
 def with_repeats(unit: Integers, run: Integers, time: Array, q: Array) -> Integers:
@@ -28,17 +35,64 @@ def with_repeats(unit: Integers, run: Integers, time: Array, q: Array) -> Intege
         ``(N,)``, s, ascending in a run, and ``(N, n)``, rad.
     """
     out = unit.copy()
-    first: list[tuple[Integers, Array]] = []  # rows of runs that repeat none, and their times since the run began
+    for first, *others in _alike(run, time, q):
+        clock = time[first] - time[first[0]]
+        for rows in others:
+            out[rows] = out[first[_nearest(clock, time[rows] - time[rows[0]])]]
+    return out
+
+
+def repeated_noise(run: Integers, time: Array, q: Array, torque: Array) -> Array:
+    """Upper ends ``(n,)``, Nm, of each motor's noise, as runs of one motion show it.
+
+    It is the standard deviation of the torques at the same time of runs with the same motion, plus two standard errors;
+    infinite where too little was repeated. What changes from run to run is in it, such as friction that warms up, and
+    so is the rounding of the readings, which may be the same in every run. A copy of a run does not count.
+
+    Parameters
+    ----------
+    run, time
+        ``(N,)``, and s, ascending in a run; rows of a run follow each other.
+    q, torque
+        ``(N, n)``, rad and Nm.
+    """
+    squares, freedom = [np.zeros((0, torque.shape[1]))], 0
+    for first, *others in _alike(run, time, q):
+        clock = time[first] - time[first[0]]
+        found = [torque[first]]
+        for rows in others:
+            again = torque[rows[_nearest(time[rows] - time[rows[0]], clock)]]
+            found += [] if any(np.array_equal(again, known) for known in found) else [again]
+        if len(found) > 1:
+            squares.append(np.var(found, axis=0, ddof=1))
+            freedom += (len(found) - 1) * len(first)
+    each = np.concatenate(squares)
+    if freedom < FEWEST_ROWS or len(each) < BLOCKS:
+        return np.full(torque.shape[1], np.inf)
+    means = np.array([part.mean(axis=0) for part in np.array_split(each, BLOCKS)])
+    upper = each.mean(axis=0) + CREDIBLE * means.std(axis=0, ddof=1) / np.sqrt(BLOCKS)
+    return np.asarray(np.sqrt(upper + _resolution(torque) ** 2 / 12.0))
+
+
+def _resolution(torque: Array) -> Array:
+    """The smallest difference of two readings of each motor ``(n,)``, Nm; next to nothing unless they are rounded."""
+    values = [np.unique(np.round(motor, RESOLVED)) for motor in torque.T]
+    return np.array([np.diff(v).min() if len(v) > 1 else 0.0 for v in values])
+
+
+def _alike(run: Integers, time: Array, q: Array) -> list[list[Integers]]:
+    """The rows of every run, those of runs with one motion together, the first of them first."""
+    out: list[list[Integers]] = []
     for number in np.unique(run):
         rows = np.flatnonzero(run == number).astype(np.int64)
         elapsed = time[rows] - time[rows[0]]
-        for earlier, clock in first:
-            nearest = _nearest(clock, elapsed)
-            if _same(q[rows], elapsed, q[earlier], clock):
-                out[rows] = out[earlier[nearest]]
+        for alike in out:
+            earlier = alike[0]
+            if _same(q[rows], elapsed, q[earlier], time[earlier] - time[earlier[0]]):
+                alike.append(rows)
                 break
         else:
-            first.append((rows, elapsed))
+            out.append([rows])
     return out
 
 

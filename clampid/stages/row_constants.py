@@ -60,13 +60,14 @@ class SeriesConstants(RowConstants):
         ``(m,)``, SI: noise of each column as known without the model under test, inf where unknown; None: unknown in
         all columns.
     known_from
-        Source of that: ``regression`` on rigid-body dynamics, or the statement of the ``instrument``'s maker.
+        Source of that: ``repeated_runs`` of one motion, ``regression`` on rigid-body dynamics, or the statement of the
+        ``instrument``'s maker. Of several it is the first.
     """
 
     run: Integers = field(metadata=PER_ROW)
     offset_keys: Integers = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     known_noise: Array | None = None
-    known_from: Literal["regression", "instrument"] = "regression"
+    known_from: Literal["repeated_runs", "regression", "instrument"] = "regression"
 
     def take(self, chosen: npt.NDArray[Any]) -> Self:
         """Those of the chosen rows, and the unknown constants of runs that are left."""

@@ -31,7 +31,7 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
     for name, table in data["tables"].items():
         unit, held_out = table["unit"], table.get("heldout") or {}
         floor = error_text(table.get("noise_floor"), unit)
-        source = f" ({table['noise_source']})" if "noise_source" in table else ""
+        source = f" ({table['noise_source'].replace('_', ' ')})" if "noise_source" in table else ""
         both = [("fitted", table), ("held out", held_out)]
         if held_out and all(table.get(key) == held_out.get(key) for key in ("rows", "rms")):
             both = both[1:]  # nothing of this campaign was fitted
