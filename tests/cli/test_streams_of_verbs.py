@@ -199,8 +199,9 @@ def test_help_is_said(verb: str, encoding: str, monkeypatch: pytest.MonkeyPatch)
     assert b"Usage: clampid " + verb.encode() in out
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("verb", LONG)
+@pytest.mark.parametrize(
+    "verb", [pytest.param(v, marks=pytest.mark.study if v == "demo" else pytest.mark.slow) for v in LONG]
+)
 def test_a_verb_of_minutes_does_the_same(verb: str, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The demo with fewer poses, as its words are the same; that of all its poses is run by test_demo."""
     monkeypatch.setattr("clampid.loop.demo.demo", partial(demo, poses=60))

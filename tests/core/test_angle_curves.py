@@ -109,9 +109,14 @@ def test_a_faulty_disc_is_named_at_every_joint(simulated: Simulated, seed: int):
     assert found.after < 0.4 * found.before
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize(("robot", "first"), [("kuka_kr20_r1810", 0), ("ur10", 100)])
+@pytest.mark.parametrize(
+    ("robot", "first"),
+    [
+        pytest.param("kuka_kr20_r1810", 0, marks=pytest.mark.slow),
+        pytest.param("ur10", 100, marks=pytest.mark.study),
+    ],
+)
 def test_without_a_faulty_disc_the_probe_is_silent(simulated: Simulated, robot: str, first: int):
     """Twenty robots of two kinds each: at a rate of 2.5 % more than three alarms have a chance of 0.2 %."""
     alarms = 0

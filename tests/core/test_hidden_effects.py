@@ -174,21 +174,21 @@ def _hidden_where(campaign: Campaign) -> str:
 
 
 @pytest.mark.parametrize(
-    "seed", [pytest.param(1, marks=pytest.mark.slow), *(pytest.param(s, marks=pytest.mark.study) for s in (2, 3))]
+    "seed", [pytest.param(1, marks=pytest.mark.slow), *(pytest.param(s, marks=pytest.mark.study) for s in (2, 3, 4))]
 )
 @pytest.mark.parametrize("effect", CASES)
 def test_hidden_effect_is_named_and_mended(effect: str, seed: int, simulated: Simulated, table: list[str]):
     check(CASES[effect], seed, simulated, table)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("effect", ["gear_eccentricity", "base_settling", "torque_offset", "time_lag"])
-def test_hidden_effect_quickly(effect: str, simulated: Simulated, table: list[str]):
-    check(CASES[effect], 4, simulated, table)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("seed", "times"), [(2, 5.0), (2, 10.5), (4, 1.7)])
+@pytest.mark.parametrize(
+    ("seed", "times"),
+    [
+        pytest.param(2, 5.0, marks=pytest.mark.slow),
+        pytest.param(2, 10.5, marks=pytest.mark.study),
+        pytest.param(4, 1.7, marks=pytest.mark.slow),
+    ],
+)
 def test_clearances_are_separated_from_a_stiffness_that_softens_by_their_fits(tmp_path: Path, seed: int, times: float):
     """Looked at from where there is none, a clearance is not linear, and its score is less than the other's.
 

@@ -126,10 +126,11 @@ def test_every_next_command_of_the_simulated_campaign_runs(
     assert needs_an_address == ["clampid run line.toml -o measured --dry-run"]
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.skipif(not REAL.is_dir(), reason="the real robot's campaign is not here")
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize(
+    "verb", [pytest.param(v, marks=pytest.mark.study if v == "auto" else pytest.mark.slow) for v in VERBS]
+)
 def test_what_is_printed_of_the_real_robot_is_one_screen(verb: str, recorded: RecordedRuns, tmp_path: Path) -> None:
     folder = tmp_path / "folder"
     folder.mkdir()

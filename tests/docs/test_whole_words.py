@@ -128,7 +128,7 @@ def test_each_line_stands_in_the_text_before_it_was_wrapped(
     assert lines_not_of_whole_words(command, folder, recorded, wide) == []
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.timeout(1800)
 def test_each_line_of_the_recorded_screens_stands_in_the_text_before_it_was_wrapped(
     recorded: RecordedRuns, wide: Wide, simulated: tuple[str, Path]

@@ -29,14 +29,14 @@ MEMORY = "/dev/shm" if os.path.isdir("/dev/shm") else None  # a disk takes longe
 def share_of(name: str, whole: bool = False) -> int:
     """How many spoilt files a reader gets in one of the two runs of the slow tests; ``whole``: in the run by hand.
 
-    Each reader of a file gets 2000 in both runs together, which take a minute each of one quiet core, and 10 000 in the
-    run by hand.
+    Each reader of a file gets 1000 in both runs together, which take half a minute each of one quiet core, and 10 000
+    in the run by hand.
     Readers called ``checked`` or ``paired``, and ``arm``, read nothing that the others do not: they go on to what is
     worked out of a file (fits, pairing, a compiled arm), 10 to 90 ms each. 10 000 of each would take more than an hour.
     """
     if name.startswith(("checked ", "paired ")) or name == "arm":
         return 500 if whole else 25
-    return 10_000 if whole else 1000
+    return 10_000 if whole else 500
 
 
 MAPPING = """format = "clampid-mapping/1"

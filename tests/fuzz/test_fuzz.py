@@ -95,7 +95,7 @@ def test_compiled_readers_survive_spoilt_files() -> None:
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("seed", [8, 12], ids=["first half", "second half"])
 def test_each_reader_reads_or_refuses_its_share_of_spoilt_files(seed: int) -> None:
-    """2000 of each reader in two halves, which two workers share; 50 of what goes on to work with a file."""
+    """1000 of each reader in two halves, which two workers share; 50 of what goes on to work with a file."""
     fuzzed("share", seed)
 
 
