@@ -179,14 +179,22 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
         else:
             found.setdefault((other.candidate.family, other.candidate.places), other)
     # What has more numbers and is so far behind is no rival either, but for what is the same by the rows as the best
-    # one or a rival of it: they say nothing against its numbers.
+    # one or a rival of it: they say nothing against its numbers. Of a family only its simplest variant may be one:
+    # further numbers imitate anything.
     for other in behind:
+        if _has_simpler_variant(named, other):
+            continue
         if any(canonical(one, other) > ALIASED for one in (best, *found.values())):
             found.setdefault((other.candidate.family, other.candidate.places), other)
     kept = [
         s for s in found.values() if not any(set(o.candidate.terms) < set(s.candidate.terms) for o in found.values())
     ]
     return kept[:4]
+
+
+def _has_simpler_variant(named: Sequence[Scored], s: Scored) -> bool:
+    """Whether a variant of a candidate at the same places has fewer parameters."""
+    return any(o.candidate.is_variant_of(s.candidate) and o.state in ABLE and o.freedom < s.freedom for o in named)
 
 
 def variants_of(named: Sequence[Scored], best: Scored) -> list[Scored]:

@@ -11,11 +11,19 @@ OF_ITS_SIZE = 0.8  # of the noise
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("label", ["power_viscous_friction/free_air", "gravity_compensator/free_air"])
-def test_the_cause_is_named_whatever_its_shape(label: str):
-    """Grease that thins is no quadratic law; what a spring has beyond two harmonics does not make a ripple of it."""
+@pytest.mark.parametrize(
+    ("label", "seed"),
+    [
+        ("power_viscous_friction/free_air", 142),
+        ("gravity_compensator/free_air", 142),
+        ("gravity_compensator/free_air", 174),
+        ("dress_pack/free_air", 180),
+    ],
+)
+def test_the_cause_is_named_whatever_its_shape(label: str, seed: int):
+    """Thinning grease is no quadratic law, a spring on a lever no two harmonics, and a slack hose no linear spring."""
     case = next(c for c in SECOND.cases["single"] if c.label == label)
-    found = hidden_trial(SECOND, case, OF_ITS_SIZE, 142, 200, best=False)
+    found = hidden_trial(SECOND, case, OF_ITS_SIZE, seed, 200, best=False)
     assert found["right"], found["candidates"]
 
 
