@@ -114,8 +114,13 @@ def test_the_floor_has_no_part_of_the_model_in_it(log: Campaign) -> None:
 
 
 @pytest.mark.skipif(not (REAL / "panda_log").is_dir(), reason="../shared/real is not there")
-@pytest.mark.slow
-@pytest.mark.parametrize("way", ["identify with offsets", "auto"])
+@pytest.mark.parametrize(
+    "way",
+    [
+        pytest.param("identify with offsets", marks=pytest.mark.slow),
+        pytest.param("auto", marks=pytest.mark.study),
+    ],
+)
 def test_dynamics_of_a_real_arm(way: str) -> None:
     """Franka Panda: joints as well as by least squares that has offsets of the torque sensors, but for joint 5.
 

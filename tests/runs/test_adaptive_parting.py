@@ -10,8 +10,13 @@ from adaptive_parting import trial
 from run_adaptive import CASES, adaptive
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("pair", "rest"), [("wrist", True), ("arm", False)])
+@pytest.mark.parametrize(
+    ("pair", "rest"),
+    [
+        pytest.param("wrist", True, marks=pytest.mark.slow),
+        pytest.param("arm", False, marks=pytest.mark.study),
+    ],
+)
 def test_adaptive_poses_separate_a_pair_with_half_of_what_random_ones_need(pair: str, rest: bool) -> None:
     """Nobody tells the chooser the pair; robots of which the first poses leave no pair open say nothing.
 
