@@ -16,27 +16,20 @@ from clampid.diagnosis.candidate_scores import (
     simplest_of,
     variants_of,
 )
-from clampid.diagnosis.confirm import (
-    cross_fitted_fall,
-    event_p,
-    first_without_parts,
-    same_effect,
-    stability,
-    terms_p,
-)
+from clampid.diagnosis.confirm import first_without_parts, same_effect, stability
 from clampid.diagnosis.entries import confusable_with
+from clampid.diagnosis.falls import MOSTLY, FallTest, tested_everywhere
 from clampid.diagnosis.folds import Folds
-from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p, held_out_of
+from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, held_out_of
 from clampid.diagnosis.linear_refit import Step, at_fit, linear_refit, step_towards
 from clampid.diagnosis.next_measurement import SAME
-from clampid.diagnosis.pruning import Refit, bic_gap, pays, pruned
+from clampid.diagnosis.pruning import Refit, bic_gap, pruned
 from clampid.diagnosis.scoring import probed_beside_what_stands_out, scores_of
 from clampid.diagnosis.tried import GivenAmbiguity, Left, Taken, Tried, Undecided
 from clampid.effect import Effect, Stage
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored, canonical
 from clampid.fitting.accuracy import Floor
-from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
 from clampid.progress import substep
 from clampid.slots import Term
@@ -54,7 +47,6 @@ ONLY_BESIDE = "the held-out error falls only together with effects that these ro
 IMPOSSIBLE = "at no place is it possible: all of its values lie beyond their bounds"
 MOST_TRIALS = 8  # of the candidates of one set of scores, after which no more are tried
 ROUND_SHARE = 0.15  # of the work left that a part of a round takes: the number of rounds is unknown
-MOSTLY = 0.5  # of the evidence of a candidate: above this share it comes from a prior and not from the rows
 
 
 class _Along(NamedTuple):
@@ -191,10 +183,10 @@ class Bench:
             if step is not None and step.falls and step.linear and s.assumed <= MOSTLY and self._plain(s):
                 trial, kept = fitted, list[Term]()
                 new = held_out_of(step.near, self.verification, self.floor, self.seed, self.block)
-                p, falls = self._confirmed(held_out, new, s, fitted.estimate)
+                p, falls = self._fall(scores).of_step(held_out, new, s, fitted.estimate)
             else:  # one step is not the fit: only this decides
                 _, trial, kept, new = self._fitted_along(s, step, fitted, held_out)
-                p, falls = self._falls(s, trial.estimate, kept, held_out, new)
+                p, falls = self._fall(scores).of_fit(s, trial.estimate, kept, held_out, new)
             if falls:
                 return Undecided([best, *rivals], scores)
             refusal = refusal or Tried(s, scores, trial, kept, new, p, 0.0, NO_FALL)
@@ -202,44 +194,11 @@ class Bench:
 
     def _plain(self, s: Scored) -> bool:
         """Whether all held-out rows test it, wherever they are."""
-        effect = self.effects[s.candidate.name]
-        return effect.event is None and effect.scanned is None
+        return tested_everywhere(self.effects[s.candidate.name])
 
-    def _confirmed(self, held_out: HeldOut, new: HeldOut, s: Scored, without: Estimate) -> tuple[float, bool]:
-        """One-sided p of the fall of the held-out error, and whether it falls significantly."""
-        p = held_out.p_above(new, new.noise, self.seed)
-        if self.verification is not None and p > 0.5 * HELD_OUT_RATE:
-            p = either_p(p, cross_fitted_fall(without, s, self.seed).p)
-        return p, p <= HELD_OUT_RATE and held_out.exceed(new)
-
-    def _falls(
-        self, best: Scored, trial: Estimate, kept: Sequence[Term], held_out: HeldOut, new: HeldOut
-    ) -> tuple[float, bool]:
-        """One-sided p of the fall of the held-out error, and whether that confirms a candidate.
-
-        An event is tested by other blocks of its own sweep, because no other sweep contains it. A local error within a
-        few degrees of one joint may have no row in a verification table. It is tested by other visits there, and must
-        not raise the table's error.
-
-        A verification table of a few visits may be too small for a significant fall that all poses show. So half of the
-        false-alarm rate is for the table and half for the poses in five-fold cross-validation. The printed error of the
-        table must fall in any case.
-
-        The plain error must fall as well: whitened errors of a log emphasise brief effects, and alone they would
-        confirm effects that raise the printed error. An effect that only a prior identifies (an undeclared tool, say)
-        may leave the held-out error, not raise it. Its parameters must differ clearly from zero.
-        """
-        effect = self.effects[best.candidate.name]
-        raises = new.p_above(held_out, new.noise, self.seed) <= HELD_OUT_RATE
-        if not self._plain(best):
-            p = event_p(trial, effect.name, self.seed)
-            return p, p <= HELD_OUT_RATE and not (raises and effect.scanned is not None)
-        p = held_out.p_above(new, new.noise, self.seed)
-        if self.verification is not None and p > 0.5 * HELD_OUT_RATE:
-            p = either_p(p, terms_p(trial, kept, self.seed))
-        if p <= HELD_OUT_RATE and held_out.exceed(new):
-            return p, True
-        return p, best.assumed > MOSTLY and not raises and bool(kept) and pays(trial, kept)
+    def _fall(self, scores: CandidateScores) -> FallTest:
+        """The test of a fall of the held-out error beside the noise of these scores."""
+        return FallTest(self.effects, self.verification, self.seed, scores.wander, self.wander > 0.0)
 
     def _judged(
         self, fits: Sequence[_Along], scores: CandidateScores, held_out: HeldOut, refused: Collection[str]
@@ -250,7 +209,7 @@ class Bench:
         rows; or the best of the significant names without nearly all parts. Other names may explain more by chance.
         """
         (best, trial, kept, new), level = self._likeliest([fit for fit in fits if fit.kept] or fits)
-        p_held_out, falls = self._falls(best, trial.estimate, kept, held_out, new)
+        p_held_out, falls = self._fall(scores).of_fit(best, trial.estimate, kept, held_out, new)
         if not kept:
             return Tried(best, scores, trial, kept, new, p_held_out, 0.0, IMPOSSIBLE)
         if falls and level:

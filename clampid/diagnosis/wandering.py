@@ -26,7 +26,7 @@ from clampid.fitting.solve import Estimate
 from clampid.fitting.wander import course_of, wander_of
 from clampid.stages.rows import POSE_CHANNELS, Array, Rows
 
-__all__ = ["WANDERS", "whitened_by", "with_wander"]
+__all__ = ["WANDERS", "known_to_wander", "whitened_by", "with_wander"]
 
 WANDERS = (
     "The readings wander: their level drifts and does not return (chance below 1 %), so slow changes count less as "
@@ -63,6 +63,21 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored], least: float = 0.0
         return None
     each = (variance if c in mine else 0.0 for c in range(rows.measured.shape[1]))
     return whitened_by(estimate, replace(estimate.noise, wander=tuple(each), one_level=least > 0.0))
+
+
+def known_to_wander(estimate: Estimate, wander: float, one_level: bool) -> Estimate:
+    """The same estimate of a log, whitened by a noise with short memory and a level that wanders by so much.
+
+    Parameters
+    ----------
+    wander
+        Variance per step over that of a number.
+    one_level
+        Whether the level is one for the whole log; else it may change at each stop of the motor.
+    """
+    noise = estimate.noise.of_short_memory if estimate.noise.autocorrelations else estimate.noise
+    each = (wander,) * estimate.problem.rows.measured.shape[1]
+    return whitened_by(estimate, replace(noise, wander=each, one_level=one_level))
 
 
 def whitened_by(estimate: Estimate, noise: Noise) -> Estimate:

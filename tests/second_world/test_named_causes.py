@@ -18,6 +18,7 @@ OF_ITS_SIZE = 0.8  # of the noise
         ("gravity_compensator/free_air", 142),
         ("gravity_compensator/free_air", 174),
         ("dress_pack/free_air", 180),
+        ("dress_pack/free_air", 186),  # beside a level that walks
     ],
 )
 def test_the_cause_is_named_whatever_its_shape(label: str, seed: int):

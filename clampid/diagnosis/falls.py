@@ -1,0 +1,105 @@
+"""Whether the held-out error falls by a candidate, which confirms it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from clampid.diagnosis.confirm import cross_fitted_fall, event_p, terms_p
+from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p
+from clampid.diagnosis.pruning import pays
+from clampid.diagnosis.wandering import known_to_wander
+from clampid.effect import Effect
+from clampid.evidence.candidates import columns_of
+from clampid.evidence.columns import Columns
+from clampid.evidence.score import Scored
+from clampid.fitting.solve import Estimate
+from clampid.slots import Term
+from clampid.stages.rows import Rows
+
+__all__ = ["MOSTLY", "FallTest", "tested_everywhere"]
+
+MOSTLY = 0.5  # of the evidence of a candidate: above this share it comes from a prior and not from the rows
+
+
+def tested_everywhere(effect: Effect) -> bool:
+    """Whether all held-out rows test an effect, wherever they are: not an event, nor a local error."""
+    return effect.event is None and effect.scanned is None
+
+
+@dataclass(frozen=True)
+class FallTest:
+    """The test of a fall of the held-out error, beside the noise that the scores had.
+
+    A verification table of a few visits may be too small for a significant fall that all poses show. So half of the
+    false-alarm rate is for the table and half for the poses in five-fold cross-validation.
+
+    The same holds for a log whose readings wander: half of the rate is for the errors as they are, and half for the
+    errors with the wandering level taken out. Beside a level that walks by several standard deviations, no effect of
+    the size of one lowers the plain error significantly.
+
+    The printed error must fall in any case.
+
+    Attributes
+    ----------
+    effects
+        All known effects, by name.
+    verification
+        Rows of a table that no fit sees, where there is one.
+    seed
+        Of the sign flips.
+    wander
+        By how much the readings of a log wander beside the candidates; 0 if they do not.
+    one_level
+        Whether their level is one for the whole log; else it may change at each stop of the motor.
+    """
+
+    effects: Mapping[str, Effect]
+    verification: Rows | None
+    seed: int
+    wander: float = 0.0
+    one_level: bool = False
+
+    def of_step(self, held_out: HeldOut, new: HeldOut, s: Scored, without: Estimate) -> tuple[float, bool]:
+        """One-sided p of the fall by a candidate, estimated in one step, and whether it falls significantly."""
+        p = held_out.p_above(new, new.noise, self.seed)
+        if p > 0.5 * HELD_OUT_RATE:
+            if self.verification is not None:
+                p = either_p(p, cross_fitted_fall(without, s, self.seed).p)
+            elif self._wanders(without):
+                level = known_to_wander(without, self.wander, self.one_level)
+                columns = columns_of(level, [s.candidate])
+                there = replace(s.candidate, columns=Columns(((0, columns),), columns.shape[1]))
+                p = either_p(p, cross_fitted_fall(level, replace(s, candidate=there), self.seed).p)
+        return p, p <= HELD_OUT_RATE and held_out.exceed(new)
+
+    def of_fit(
+        self, best: Scored, trial: Estimate, kept: Sequence[Term], held_out: HeldOut, new: HeldOut
+    ) -> tuple[float, bool]:
+        """One-sided p of the fall of the held-out error by a fitted candidate, and whether that confirms it.
+
+        An event is tested by other blocks of its own sweep, because no other sweep contains it. A local error within a
+        few degrees of one joint may have no row in a verification table. It is tested by other visits there, and must
+        not raise the table's error.
+
+        The plain error must fall as well: whitened errors of a log emphasise brief effects, and alone they would
+        confirm effects that raise the printed error. An effect that only a prior identifies (an undeclared tool, say)
+        may leave the held-out error, not raise it. Its parameters must differ clearly from zero.
+        """
+        effect = self.effects[best.candidate.name]
+        raises = new.p_above(held_out, new.noise, self.seed) <= HELD_OUT_RATE
+        if not tested_everywhere(effect):
+            p = event_p(trial, effect.name, self.seed)
+            return p, p <= HELD_OUT_RATE and not (raises and effect.scanned is not None)
+        p = held_out.p_above(new, new.noise, self.seed)
+        if p > 0.5 * HELD_OUT_RATE:
+            if self.verification is not None:
+                p = either_p(p, terms_p(trial, kept, self.seed))
+            elif self._wanders(trial):
+                p = either_p(p, terms_p(known_to_wander(trial, self.wander, self.one_level), kept, self.seed))
+        if p <= HELD_OUT_RATE and held_out.exceed(new):
+            return p, True
+        return p, best.assumed > MOSTLY and not raises and bool(kept) and pays(trial, kept)
+
+    def _wanders(self, estimate: Estimate) -> bool:
+        return self.wander > 0.0 and not estimate.problem.kind.points
