@@ -47,7 +47,8 @@ def repeated_noise(run: Integers, time: Array, q: Array, torque: Array) -> Array
 
     It is the standard deviation of the torques at the same time of runs with the same motion, plus two standard errors;
     infinite where too little was repeated. What changes from run to run is in it, such as friction that warms up, and
-    so is the rounding of the readings, which may be the same in every run. A copy of a run does not count.
+    so is the rounding of the readings, which may be the same in every run. A copy of a run does not count, and neither
+    does a motor whose torques are copies.
 
     Parameters
     ----------
@@ -71,7 +72,8 @@ def repeated_noise(run: Integers, time: Array, q: Array, torque: Array) -> Array
         return np.full(torque.shape[1], np.inf)
     means = np.array([part.mean(axis=0) for part in np.array_split(each, BLOCKS)])
     upper = each.mean(axis=0) + CREDIBLE * means.std(axis=0, ddof=1) / np.sqrt(BLOCKS)
-    return np.asarray(np.sqrt(upper + _resolution(torque) ** 2 / 12.0))
+    found = np.sqrt(upper + _resolution(torque) ** 2 / 12.0)
+    return np.where(np.any(each > 0.0, axis=0), found, np.inf)
 
 
 def _resolution(torque: Array) -> Array:

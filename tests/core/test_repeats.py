@@ -89,6 +89,8 @@ def test_without_a_repeated_run_the_noise_is_not_known() -> None:
     run, time, q, torque = torques_of([1, 1], 0.3, 0)
     torque[run == 1] = torque[run == 0]  # a copy: nothing was measured again
     assert np.all(np.isinf(repeated_noise(run, time, q, torque)))
+    torque[run == 1, 2] += 0.1  # of one motor alone something was measured again
+    assert np.isinf(repeated_noise(run, time, q, torque)).tolist() == [True, True, False]
     short = np.flatnonzero(time - 37.0 * run < 5.0)
     assert np.all(np.isinf(repeated_noise(run[short], time[short], q[short], torque[short])))
 
