@@ -114,7 +114,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
             fitted, held_out = steps[-1].tried.fitted, steps[-1].tried.held_out
         scores = scores.remembered  # the whole is as large as its rows, and the next is about to be made
         scores = bench.scores(fitted, 2 * number)
-    if not undecided:  # beside those it is known already, and they explain what wanders in these scores
+    if not undecided:  # else these scores are from before, and `given.wander` is that beside the undecided groups
         wander = max(wander, scores.wander)
     return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held_out, scores, rest, wander)
 
