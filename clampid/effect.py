@@ -275,7 +275,7 @@ class Effect:
         for kind, found, known in (
             ("station", tuple(self.acts), tuple(STATIONS)),
             ("signal", (*self.needs, *((search.superseded_by,) if search.superseded_by else ())), tuple(SIGNALS)),
-            ("stage", (*self.stages, *((search.differs_from,) if search.differs_from else ())), STAGES),
+            ("stage", (*self.stages, *filter(None, (search.differs_from, search.shown_by))), STAGES),
         ):
             for name in found:
                 if name not in known and not (kind == "signal" and signal(name)):

@@ -65,6 +65,9 @@ class Search:
     differs_from
         A stage that has the same quantity too, if the effect states by how much that is another one here: diagnosis
         looks for it only where that stage was measured.
+    shown_by
+        The stage that shows it directly: in another one diagnosis looks for it only if that stage has shown it. For an
+        empirical form, which could stand for anything elsewhere.
     separators
         What separates it from effects of other families.
     """
@@ -77,6 +80,7 @@ class Search:
     joint_kind: JointKind | None = None
     symptom_of: tuple[str, ...] = ()
     differs_from: Stage | None = None
+    shown_by: Stage | None = None
     separators: tuple[Separator, ...] = ()
 
     def __post_init__(self) -> None:

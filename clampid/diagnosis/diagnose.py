@@ -238,15 +238,20 @@ def _effects_for(opened: ModelOnCampaign, stage: Stage) -> dict[str, Effect]:
 
     Torques at a joint show in torque logs directly. If there are such logs, the poses search no torque effect that the
     logs did not show, because in poses a spring on a joint looks like an eccentric gear. A tool that differs between
-    tables is an exception: the logs do not show it.
+    tables is an exception: the logs do not show it. Some are not searched in poses without logs either
+    (:attr:`clampid.search_policy.Search.shown_by`).
     """
     measured = {s for s in opened.stages if opened.has(kind_of(s).tables)}
-    effects = {name: e for name, e in opened.effects.items() if e.search.differs_from in (None, *measured)}
+    both = [model for model in opened.stages.values() if model.kind.moving or model.kind.points]
+    known = {term.effect for model in both for term in model.terms}
+    effects = {
+        name: e
+        for name, e in opened.effects.items()
+        if e.search.differs_from in (None, *measured) and (e.search.shown_by in (None, stage) or name in known)
+    }
     logged = any(kind.moving and opened.has(kind.tables) for kind in kinds())
     if not kind_of(stage).points or not logged:
         return effects
-    both = [model for model in opened.stages.values() if model.kind.moving or model.kind.points]
-    known = {term.effect for model in both for term in model.terms}
     return {
         name: e
         for name, e in effects.items()

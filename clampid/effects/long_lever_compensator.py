@@ -32,6 +32,7 @@ EFFECT = Effect(
     holds_weight=True,
     search=Search(
         scope="places",
+        shown_by="free_air",
         separators=(
             Separator(
                 "gear_eccentricity",

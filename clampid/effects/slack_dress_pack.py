@@ -28,5 +28,5 @@ EFFECT = Effect(
     equation="tau_joint = k (q - q_0) + h (q - q_0)^3",
     source=("Armstrong1994",),
     known_within="q",
-    search=Search(scope="places"),
+    search=Search(scope="places", shown_by="free_air"),
 )

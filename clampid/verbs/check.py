@@ -14,7 +14,7 @@ from clampid.verbs.options import Json, OneCampaign, Quiet, Verbose
 from clampid.verbs.output import Output
 
 if TYPE_CHECKING:
-    from clampid.effect import Effect
+    from clampid.effect import Effect, Stage
     from experiments.campaign import Campaign
 
 __all__ = ["check"]
@@ -47,7 +47,9 @@ def check(
             "tables": [t for t in kind_of(stage).tables if t in read.tables],
             "standard": [term.label for term in terms],
             "known": sorted(name for name, effect in catalogue().items() if kind_of(stage).has(effect)),
-            "only_asked": sorted(n for n, e in catalogue().items() if kind_of(stage).has(e) and _only_asked(e, read)),
+            "only_asked": sorted(
+                n for n, e in catalogue().items() if kind_of(stage).has(e) and _only_asked(e, stage, read)
+            ),
         }
         for stage, terms in standard.items()
     }
@@ -160,8 +162,12 @@ def _stated(campaign: Campaign) -> Iterator[str]:
         yield f"sensor {name}: " + ("not used" if sensor.at == "none" else f"at {sensor.at}, weight {sensor.weight:g}")
 
 
-def _only_asked(effect: Effect, campaign: Campaign) -> bool:
-    """Whether diagnosis leaves this effect out on this robot and these tables."""
+def _only_asked(effect: Effect, stage: Stage, campaign: Campaign) -> bool:
+    """Whether diagnosis of a stage leaves this effect out on this robot and these tables."""
+    from clampid.stages.stage_kind import kind_of
+
     kinds = {joint.kind for joint in campaign.robot.joints}
     ranged = "distances" in campaign.tables or "anchor_way" not in effect.needs
-    return effect.search.opt_in or effect.search.joint_kind not in (None, *kinds) or not ranged
+    shown_by = effect.search.shown_by or stage
+    unseen = shown_by != stage and not any(t in campaign.tables for t in kind_of(shown_by).tables)
+    return effect.search.opt_in or effect.search.joint_kind not in (None, *kinds) or not ranged or unseen
