@@ -14,6 +14,7 @@ from typing import Literal
 
 __all__ = [
     "LOGS",
+    "OF_OTHER_USE",
     "POSES",
     "TABLES",
     "Column",
@@ -34,9 +35,11 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 POSITION = ("x_m", "y_m", "z_m")
 
 _TEMPERATURE = re.compile(r"temp_\w+_C")
-# A name that ends in a unit, as the contract asks of every column; no misnamed temperature and no standard deviation.
+OF_OTHER_USE = ("temp_", "std_")
+"""How names begin that are never further columns: a temperature, though misnamed, or a reading's standard deviation."""
+# A name that ends in a unit, as the contract asks of every column.
 _FURTHER = re.compile(
-    r"(?!temp_|std_)(?P<what>[A-Za-z]\w*?)"
+    rf"(?!{'|'.join(OF_OTHER_USE)})(?P<what>[A-Za-z]\w*?)"
     r"_(?P<unit>rad_s2|rad_s|rad|m_s2|m_s|m|s|Nm|N|kg|K|C|A|V|W|Hz|Pa|percent)"
 )
 

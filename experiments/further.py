@@ -1,4 +1,4 @@
-"""What a table of poses has recorded beyond the contract: the numbers of a further column, and why others have none."""
+"""The numbers of a further column: one that a table of poses has beyond the contract."""
 
 from __future__ import annotations
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from clampid.diagnosis.confirm import cross_fitted_fall, event_p, terms_p
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p
+from clampid.diagnosis.linear_refit import at_fit
 from clampid.diagnosis.pruning import pays
 from clampid.diagnosis.wandering import known_to_wander
 from clampid.effect import Effect
-from clampid.evidence.candidates import columns_of
-from clampid.evidence.columns import Columns
 from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
 from clampid.slots import Term
@@ -68,9 +67,7 @@ class FallTest:
                 p = either_p(p, cross_fitted_fall(without, s, self.seed).p)
             elif self._wanders(without):
                 level = known_to_wander(without, self.wander, self.one_level)
-                columns = columns_of(level, [s.candidate])
-                there = replace(s.candidate, columns=Columns(((0, columns),), columns.shape[1]))
-                p = either_p(p, cross_fitted_fall(level, replace(s, candidate=there), self.seed).p)
+                p = either_p(p, cross_fitted_fall(level, at_fit(level, s), self.seed).p)
         return p, p <= HELD_OUT_RATE and held_out.exceed(new)
 
     def of_fit(

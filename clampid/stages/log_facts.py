@@ -12,6 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from clampid.stages import prewhitening
+from clampid.stages.known_noise import upper_ends
 from clampid.stages.log_motion import Motions, joint_columns, stacked
 from clampid.stages.motion_choice import (
     Excerpt,
@@ -37,7 +38,6 @@ NEIGHBOURS_READ = 4  # neighbours that are read on either side, in halves of the
 NEIGHBOURS = 16  # at least
 WINDOW_S = 0.02  # the shortest over which speeds and accelerations are taken
 TOGETHER_S = 0.01  # rows within it are one number to the noise
-CREDIBLE = 2.0  # standard errors
 CHOICE_EVERY, CHOICE_ROWS = 50 * WINDOW, 2 * WINDOW  # of a long log: by which it is chosen how its motion is taken
 CLEAR_MOTION = 0.02  # of the top speed of the log
 STEADY = 0.15  # of the log's largest acceleration of a joint
@@ -207,7 +207,7 @@ def _facts_of(parts: Sequence[LogPart], window: int, in_memory: int) -> LogFacts
         step=step,
         spacing=float(middle[1]) if np.isfinite(middle[1]) else 0.0,
         noise=NORMAL * middle[2:] / np.sqrt(2.0),
-        regression=_credible(left_out),
+        regression=upper_ends(left_out),
         repeated=_repeated(parts, n) if rows * (2 * n + 2) <= in_memory else np.full(n, np.inf),
         motions=motions,
         rest=rest,
@@ -270,16 +270,6 @@ def _repeated(parts: Sequence[LogPart], n: int) -> Array:
     _, run = np.unique(np.concatenate([t[["part", "run"]].to_numpy() for t in read]), axis=0, return_inverse=True)
     time, both = np.concatenate([t["time_s"].to_numpy(float) for t in read]), np.concatenate(every)
     return repeated_noise(run.astype(np.int64), time, both[:, :n], both[:, n:])
-
-
-def _credible(left_out: Array) -> Array:
-    """Upper ends ``(n,)``, Nm, of the errors that blocks ``(n, blocks)`` of mean squares give; see `LogFacts`."""
-    out = np.full(len(left_out), np.inf)
-    for motor, squares in enumerate(left_out):
-        known = squares[np.isfinite(squares)]
-        if len(known) > left_out.shape[1] // 2:
-            out[motor] = np.sqrt(known.mean() + CREDIBLE * known.std(ddof=1) / np.sqrt(len(known)))
-    return out
 
 
 def _smoothest(w: Window, n: int, step: float, window_s: float) -> Array:

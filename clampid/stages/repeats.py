@@ -11,8 +11,11 @@ with repeated points. Source: Draper & Smith, Applied regression analysis, 1998,
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from clampid.stages.known_noise import upper_ends
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["repeated_noise", "with_repeats"]
@@ -20,8 +23,14 @@ __all__ = ["repeated_noise", "with_repeats"]
 SAME_MOTION = 0.01  # of the joints' excursion, rms: a controller repeats a program within some milliseconds
 BLOCKS = 20  # parts of a motion, from whose spread the uncertainty of the noise follows
 FEWEST_ROWS = 100  # repeated rows: with fewer the noise is not known to a tenth
-CREDIBLE = 2.0  # standard errors
 RESOLVED = 9  # decimals of a Nm: readings that differ by less are the same
+
+
+class _Run(NamedTuple):
+    """The rows of a run ``(m,)``, and their times since it began ``(m,)``, s."""
+
+    rows: Integers
+    elapsed: Array
 
 
 def with_repeats(unit: Integers, run: Integers, time: Array, q: Array) -> Integers:
@@ -36,9 +45,8 @@ def with_repeats(unit: Integers, run: Integers, time: Array, q: Array) -> Intege
     """
     out = unit.copy()
     for first, *others in _alike(run, time, q):
-        clock = time[first] - time[first[0]]
-        for rows in others:
-            out[rows] = out[first[_nearest(clock, time[rows] - time[rows[0]])]]
+        for rows, elapsed in others:
+            out[rows] = out[first.rows[_nearest(first.elapsed, elapsed)]]
     return out
 
 
@@ -59,21 +67,19 @@ def repeated_noise(run: Integers, time: Array, q: Array, torque: Array) -> Array
     """
     squares, freedom = [np.zeros((0, torque.shape[1]))], 0
     for first, *others in _alike(run, time, q):
-        clock = time[first] - time[first[0]]
-        found = [torque[first]]
-        for rows in others:
-            again = torque[rows[_nearest(time[rows] - time[rows[0]], clock)]]
+        found = [torque[first.rows]]
+        for rows, elapsed in others:
+            again = torque[rows[_nearest(elapsed, first.elapsed)]]
             found += [] if any(np.array_equal(again, known) for known in found) else [again]
         if len(found) > 1:
             squares.append(np.var(found, axis=0, ddof=1))
-            freedom += (len(found) - 1) * len(first)
+            freedom += (len(found) - 1) * len(first.rows)
     each = np.concatenate(squares)
     if freedom < FEWEST_ROWS or len(each) < BLOCKS:
         return np.full(torque.shape[1], np.inf)
     means = np.array([part.mean(axis=0) for part in np.array_split(each, BLOCKS)])
-    upper = each.mean(axis=0) + CREDIBLE * means.std(axis=0, ddof=1) / np.sqrt(BLOCKS)
-    found = np.sqrt(upper + _resolution(torque) ** 2 / 12.0)
-    return np.where(np.any(each > 0.0, axis=0), found, np.inf)
+    means[:, ~np.any(each > 0.0, axis=0)] = np.nan
+    return upper_ends((means + _resolution(torque) ** 2 / 12.0).T)
 
 
 def _resolution(torque: Array) -> Array:
@@ -82,19 +88,18 @@ def _resolution(torque: Array) -> Array:
     return np.array([np.diff(v).min() if len(v) > 1 else 0.0 for v in values])
 
 
-def _alike(run: Integers, time: Array, q: Array) -> list[list[Integers]]:
-    """The rows of every run, those of runs with one motion together, the first of them first."""
-    out: list[list[Integers]] = []
+def _alike(run: Integers, time: Array, q: Array) -> list[list[_Run]]:
+    """The runs, those with one motion together, the first of them first."""
+    out: list[list[_Run]] = []
     for number in np.unique(run):
         rows = np.flatnonzero(run == number).astype(np.int64)
         elapsed = time[rows] - time[rows[0]]
         for alike in out:
-            earlier = alike[0]
-            if _same(q[rows], elapsed, q[earlier], time[earlier] - time[earlier[0]]):
-                alike.append(rows)
+            if _same(q[rows], elapsed, q[alike[0].rows], alike[0].elapsed):
+                alike.append(_Run(rows, elapsed))
                 break
         else:
-            out.append([rows])
+            out.append([_Run(rows, elapsed)])
     return out
 
 

@@ -9,12 +9,10 @@ import pandas as pd
 
 from experiments.campaign import Campaign
 from experiments.checks.finding import Finding
-from experiments.columns import POSES, further_columns, table_format
+from experiments.columns import OF_OTHER_USE, POSES, further_columns, table_format
 from experiments.further import numbers
 
 __all__ = ["further_findings", "further_variables"]
-
-OF_OTHER_USE = ("temp_", "std_")  # a temperature, judged elsewhere, or a reading's standard deviation
 
 
 def further_variables(campaign: Campaign, table: str) -> list[str]:
@@ -40,8 +38,8 @@ def further_findings(campaign: Campaign) -> Iterator[Finding]:
     Yields
     ------
     Finding
-        Warnings for columns that no effect can depend on although their name says so, and for names without a unit;
-        notes on single cells without a number.
+        Warnings for columns without any number, notes on constant ones, on single cells without a number, and on names
+        without a unit.
     """
     n = campaign.robot.n
     for table in POSES:
@@ -49,11 +47,11 @@ def further_findings(campaign: Campaign) -> Iterator[Finding]:
         if frame is None:
             continue
         names = tuple(map(str, frame.columns))
-        for name in further_columns(names, table, n):
+        further, known = further_columns(names, table, n), table_format(table, n).known()
+        for name in further:
             yield from _cells(table, name, frame[name])
-        known = {*table_format(table, n).known(), *further_columns(names, table, n)}
         for name in names:
-            if name not in known and not name.startswith(OF_OTHER_USE) and _varies(frame[name]):
+            if name not in (*known, *further) and not name.startswith(OF_OTHER_USE) and _varies(frame[name]):
                 message = f"no effect can depend on {name}: a further column's name ends in its unit, as flow_m_s"
                 yield Finding("note", table, name, None, message)
 
