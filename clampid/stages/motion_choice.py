@@ -173,9 +173,26 @@ def chosen_way(default: Way, candidates: Sequence[Sequence[Way]], score: _Score)
         lengths = [way.window_s for way in source]
         first = min(range(len(source)), key=lambda k: abs(np.log(lengths[k] / best.window_s)))
         best = _downhill(source, first, best, unlikely)
-    gain = change(best).sum(axis=0)
-    best = best if gain.mean() < -CLEAR_DIFFERENCE * gain.std(ddof=1) / np.sqrt(BLOCKS) else default
+    best = best if _clearly_less(_gains(known[default], known[best])) else default
     return best, known[best]
+
+
+def _gains(before: Array, after: Array) -> Array:
+    """Log of the ratio of squares ``(n, BLOCKS)`` per block, mean of the motors, of the blocks that have both.
+
+    A log of several speeds has nearly all of its squares in a few blocks, whose difference no other block confirms.
+    Their ratios can be compared.
+    """
+    both = np.isfinite(before) & np.isfinite(after)
+    ratio = np.log(np.maximum(after[both], 1e-300) / np.maximum(before[both], 1e-300))
+    counts = both.sum(axis=0)
+    sums = np.bincount(np.nonzero(both)[1], ratio, minlength=BLOCKS)
+    return np.asarray(sums[counts > 0] / counts[counts > 0])
+
+
+def _clearly_less(gains: Array) -> bool:
+    """Whether the mean of some blocks' gains is negative by more than two standard errors."""
+    return len(gains) > 1 and bool(gains.mean() < -CLEAR_DIFFERENCE * gains.std(ddof=1) / np.sqrt(len(gains)))
 
 
 def _downhill(source: Sequence[Way], first: int, best: Way, value: Callable[[Way], float]) -> Way:
@@ -288,23 +305,12 @@ def trusted_rows(plain: Regression, direct: Regression, left_out: Array) -> tupl
         return (), left_out
     best = direct.unresolved <= limits[0]
     before = plain.squares(judged=best)
-    known = np.isfinite(before)
-    blocks = known.any(axis=0)
-    if np.count_nonzero(blocks) < FOLDS:
+    if np.count_nonzero(np.isfinite(before).any(axis=0)) < FOLDS:
         return (), left_out
 
-    def gain(limit: float) -> Array:
-        """Log of the ratio of squares per block, mean of the motors: few rows foresee some blocks very badly."""
-        after = direct.squares(fitted=direct.unresolved <= limit, judged=best)
-        both = known & np.isfinite(after)
-        ratio = np.log(np.maximum(after[both], 1e-300) / np.maximum(before[both], 1e-300))
-        sums = np.bincount(np.nonzero(both)[1], ratio, minlength=BLOCKS)
-        return np.asarray((sums / np.maximum(both.sum(axis=0), 1))[blocks])
-
-    gains = {limit: gain(limit) for limit in limits}
+    gains = {limit: _gains(before, direct.squares(fitted=direct.unresolved <= limit, judged=best)) for limit in limits}
     chosen = min(limits, key=lambda limit: float(gains[limit].mean()))
-    error = gains[chosen].std(ddof=1) / np.sqrt(len(gains[chosen]))
-    if not gains[chosen].mean() < -CLEAR_DIFFERENCE * error:
+    if not _clearly_less(gains[chosen]):
         return (), left_out
     kept = direct.unresolved <= chosen
     squares = direct.squares(kept, kept)

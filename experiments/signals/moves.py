@@ -24,7 +24,7 @@ __all__ = ["MoveMotion", "motion_of_moves"]
 
 SAMPLES_AT_REST = 2  # before and after a move, which belong to it too: they say where it begins and ends
 AT_REST = 1e-3  # of a joint's largest speed: so few samples may rest that their noise is not known well
-LONGEST_MOVE = 200  # samples; with more a move is sampled closely enough to be differentiated
+LONGEST_MOVE = 4096  # samples; with more, the log is no sparse one
 UNKNOWN_TIMES = 3
 RAMPS_TRIED = (0.08, 0.2, 0.35, 0.5)  # of the move's duration: where the fit starts
 ROUNDS_OF_FIT = 60
@@ -77,24 +77,34 @@ def motion_of_moves(q: Array, time: Array, run: Integers) -> MoveMotion:
     """
     out = MoveMotion(np.zeros(q.shape), np.zeros(q.shape), np.full(q.shape, np.inf))
     first, last = _between_rests(q, time, run)
-    if not len(first):
-        return out
+    size = np.frexp(last - first)[1]  # moves of like lengths together, so that a long one does not pad the others
+    found = [_of_moves(q, time, first[size == k], last[size == k]) for k in np.unique(size)]
+    for rows, *values in sorted((move for part in found for move in part), key=lambda move: -int(move[0][0])):
+        out.speed[rows], out.acceleration[rows], out.error[rows] = values
+    return out
+
+
+def _of_moves(q: Array, time: Array, first: Integers, last: Integers) -> list[tuple[Integers, Array, Array, Array]]:
+    """Rows of the recognised ones of some moves, with their speeds, accelerations and errors of these ``(k, n)``."""
     place = first[:, None] + np.arange(int((last - first).max()) + 1)
     own = place <= last[:, None]
     place = np.minimum(place, len(q) - 1)
     since = np.where(own, time[place] - time[first][:, None], 0.0)
     fit = _fitted(np.where(own[:, :, None], q[place] - q[first][:, None], 0.0), since, own)
     speed, acceleration = (fit.way[:, None] * _course(since, fit.times, order)[:, :, None] for order in (1, 2))
-    error = SECOND_DIFFERENCE * fit.noise / (since.max(axis=1) / (last - first)) ** 2
+    step = since.max(axis=1) / (last - first)
+    error = SECOND_DIFFERENCE * fit.noise / step**2
     # A sample that may lie on either side of a change of acceleration has its whole step as error.
     late = SURELY * fit.late[:, None]
     here, before, after = (_course(since + by * late, fit.times, 2) for by in (0.0, -1.0, 1.0))
     jump = np.maximum(np.abs(before - here), np.abs(after - here))
     errors = error[:, None, None] + np.abs(fit.way[:, None]) * jump[:, :, None]
-    for k in reversed(np.flatnonzero(error < RECOGNISED * np.abs(acceleration).max(axis=(1, 2)))):
-        rows = place[k, own[k]]
-        out.speed[rows], out.acceleration[rows], out.error[rows] = (v[k, own[k]] for v in (speed, acceleration, errors))
-    return out
+    # A ramp within a step could be as steep as any: it counts as one step long.
+    steepest = np.abs(fit.way).max(axis=1) / np.prod(np.maximum(fit.times[:, 1:], step[:, None]), axis=1)
+    return [
+        (place[k, own[k]], *(v[k, own[k]] for v in (speed, acceleration, errors)))
+        for k in np.flatnonzero(error < RECOGNISED * steepest)
+    ]
 
 
 def _between_rests(q: Array, time: Array, run: Integers) -> tuple[Integers, Integers]:
@@ -148,7 +158,8 @@ def _fitted(samples: Array, since: Array, own: Bools) -> _Fit:
     noise = np.where(spare > 0, np.sqrt(left / np.maximum(spare, 1)), np.inf)
     known = np.isfinite(noise)
     late = np.zeros(len(times))
-    late[known] = noise[known] * np.sqrt(np.trace(np.linalg.pinv(normal[known]), axis1=1, axis2=2))
+    variance = np.trace(np.linalg.pinv(normal[known], hermitian=True), axis1=1, axis2=2)
+    late[known] = noise[known] * np.sqrt(np.maximum(variance, 0.0))  # of what is no move it may be rounding
     return _Fit(times, way, noise, late)
 
 

@@ -46,8 +46,20 @@ def test_accelerations_of_a_trapezoid_sampled_two_or_three_times_a_ramp(
     assert np.sqrt(np.mean((neighbours - qdd)[known] ** 2)) > 100 * np.median(found.error[known])
 
 
-def test_a_sine_is_not_taken_for_moves() -> None:
-    time = STEP * np.arange(300)
+def test_a_slow_move_of_many_samples_is_recognised_among_quick_ones() -> None:
+    q, qd, qdd, time = log(np.array([[1.0, -0.5]]), 0.25, 60.0, 0.03)
+    quick, quick_speed, quick_acceleration, later = log(np.array([[0.8, 0.3]]), 0.25, 1.5, 0.03)
+    both = np.r_[q, q[-1] + quick]
+    noisy = both + 1e-6 * np.random.default_rng(4).standard_normal(both.shape)
+    found = motion_of_moves(noisy, np.r_[time, time[-1] + STEP + later], np.ones(len(both), dtype=np.int64))
+    known = np.isfinite(found.error)
+    assert known[np.any(np.r_[qd, quick_speed] != 0.0, axis=1)].mean() > 0.99
+    assert np.all(np.abs(found.acceleration - np.r_[qdd, quick_acceleration])[known] <= 6.0 * found.error[known])
+
+
+@pytest.mark.parametrize("samples", [150, 300, 1500])
+def test_a_sine_is_not_taken_for_moves(samples: int) -> None:
+    time = STEP * np.arange(samples)
     q = np.sin(np.outer(time, [0.7, 0.9, 1.3]))
     assert np.all(np.isinf(motion_of_moves(q, time, np.ones(len(time), dtype=np.int64)).error))
 
