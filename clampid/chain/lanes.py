@@ -1,7 +1,8 @@
 """C source that evaluates a casadi function of single rows for eight rows at once, one in each lane of a vector.
 
 casadi writes C for one row, which no compiler turns into vector instructions; yet the fit of a log is as fast as this
-function. The vectors are the extension that GCC and clang have in common.
+function. The vectors are the extension that GCC and clang have in common. What depends on the parameters alone is
+computed once, before the rows.
 """
 
 from __future__ import annotations
@@ -93,24 +94,26 @@ class Lanes:
         self.function = function
         self._run = getattr(ctypes.CDLL(str(library)), function.name())
         self._run.restype = None
-        self._run.argtypes = [ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+        self._run.argtypes = [ctypes.c_long, ctypes.c_void_p, ctypes.c_long, *[ctypes.c_void_p] * 3]
 
     def __call__(self, theta: Array, *columns: Array) -> list[Array]:
         """Evaluate at ``theta`` for rows whose columns come in blocks ``(N, k)`` one beside the other."""
-        rows = np.concatenate(columns, axis=1) if len(columns) > 1 else columns[0]
-        rows = np.ascontiguousarray(rows, dtype=np.float64)
+        blocks = [np.ascontiguousarray(block, dtype=np.float64) for block in columns]
         theta = np.ascontiguousarray(theta, dtype=np.float64)
-        expected = self.function.nnz_in(0), self.function.nnz_in(1)
-        if (theta.size, rows.shape[1]) != expected:
-            raise ValueError(f"expected {expected} parameters and columns, found {(theta.size, rows.shape[1])}")
-        results = [np.empty((len(rows), self.function.nnz_out(i))) for i in range(self.function.n_out())]
-        places = np.array([r.ctypes.data for r in results], dtype=np.uintp)
-        self._run(len(rows), theta.ctypes.data, rows.ctypes.data, places.ctypes.data)
+        widths, count = np.array([b.shape[1] for b in blocks], dtype=np.int64), len(blocks[0])
+        expected = self.function.nnz_in(0), self.function.nnz_in(1), count
+        found = theta.size, int(widths.sum()), min(len(b) for b in blocks)
+        if found != expected:
+            raise ValueError(f"expected {expected} parameters, columns and rows, found {found}")
+        results = [np.empty((count, self.function.nnz_out(i))) for i in range(self.function.n_out())]
+        rows, places = (np.array([a.ctypes.data for a in arrays], dtype=np.uintp) for arrays in (blocks, results))
+        given = theta.ctypes.data, len(blocks), widths.ctypes.data, rows.ctypes.data, places.ctypes.data
+        self._run(count, *given)
         return results
 
 
 def lanes_source(function: Any) -> str | None:
-    """C source of ``void NAME(long count, const double *theta, const double *rows, double *const *results)``.
+    """C source of ``void NAME(count, theta, blocks, widths, rows, results)``, which evaluates ``count`` rows.
 
     Parameters
     ----------
@@ -120,60 +123,67 @@ def lanes_source(function: Any) -> str | None:
     Returns
     -------
     str or None
-        None where an operation has no counterpart here. ``rows`` and ``results`` have one row after the other.
+        None where an operation has no counterpart here. The columns come in ``blocks`` tables ``rows`` with some
+        ``widths``. Each of these and of the ``results`` has one row after the other.
     """
     if not function.is_a("SXFunction"):
         return None
+    once: list[str] = []  # what depends on the parameters alone: before the loop over the rows
     lines: list[str] = []
     called: set[str] = set()
-    work: set[int] = set()
+    held: dict[int, str] = {}  # casadi's registers, each with the name of what it holds now
     for k in range(function.n_instructions()):
         kind, ins, outs = (f(k) for f in (function.instruction_id, function.instruction_input,
                                           function.instruction_output))  # fmt: skip
         if kind == ca.OP_OUTPUT:
-            lines.append(f"to{outs[0]}[{outs[1]}] = w{ins[0]};")
+            lines.append(f"to{outs[0]}[{outs[1]}] = {held[ins[0]]};")
             continue
-        work.add(outs[0])
-        target, names = f"w{outs[0]}", [f"w{i}" for i in ins]
+        fixed = ins[0] == 0 if kind == ca.OP_INPUT else all(held[i][0] == "p" for i in ins)
+        target, names = f"{'p' if fixed else 'w'}{k}", [held[i] for i in ins if kind != ca.OP_INPUT]
+        held[outs[0]] = target
         if kind == ca.OP_INPUT:
-            lines.append(f"{target} = from[{ins[1]}];" if ins[0] else f"{target} = zero + theta[{ins[1]}];")
+            found = f"lanes {target} = zero + theta[{ins[1]}];" if fixed else f"lanes {target} = from[{ins[1]}];"
         elif kind == ca.OP_CONST:
             value = float(function.instruction_constant(k))
             if not isfinite(value):
                 return None
-            lines.append(f"{target} = zero + {value.hex()};")
+            found = f"lanes {target} = zero + {value.hex()};"
         elif kind in _ARITHMETIC:
-            lines.append(f"{target} = {_ARITHMETIC[kind].format(*names)};")
+            found = f"lanes {target} = {_ARITHMETIC[kind].format(*names)};"
         elif kind in _FUNCTIONS:
             called.add(_FUNCTIONS[kind])
-            lines.append(f"lanes_{_FUNCTIONS[kind]}(&{target}, &{names[0]});")
+            found = f"lanes {target}; lanes_{_FUNCTIONS[kind]}(&{target}, &{names[0]});"
         elif kind in _FUNCTIONS_OF_TWO:
             called.add(_FUNCTIONS_OF_TWO[kind])
-            lines.append(f"lanes_{_FUNCTIONS_OF_TWO[kind]}(&{target}, &{names[0]}, &{names[1]});")
+            found = f"lanes {target}; lanes_{_FUNCTIONS_OF_TWO[kind]}(&{target}, &{names[0]}, &{names[1]});"
         else:
             return None
-    return _wrapped(function, lines, sorted(called), sorted(work))
+        (once if fixed else lines).append(found)
+    return _wrapped(function, once, lines, sorted(called))
 
 
-def _wrapped(function: Any, lines: list[str], called: list[str], work: list[int]) -> str:
+def _wrapped(function: Any, once: list[str], lines: list[str], called: list[str]) -> str:
     """The lines of one block of rows within the loop over blocks; a last block repeats its last row."""
     width, results = function.nnz_in(1), [function.nnz_out(i) for i in range(function.n_out())]
     out = [
         _HEAD
         + "".join(f"VECTOR({name})\n" for name in called if name in _VECTORS)
         + "".join(f"BY_LANE{'_OF_TWO' * (name in _FUNCTIONS_OF_TWO.values())}({name})\n" for name in called),
-        f"void {function.name()}(long count, const double *theta, const double *rows, double *const *results)",
+        f"void {function.name()}(long count, const double *theta, long blocks, const long *widths,",
+        "    const double *const *rows, double *const *results)",
         "{",
         "  const lanes zero = {0.0}, one = zero + 1.0;",
+        *(f"  {line}" for line in once),
         f"  lanes from[{max(width, 1)}];",
         *(f"  lanes to{i}[{max(size, 1)}];" for i, size in enumerate(results)),
         "  for (long first = 0; first < count; first += 8) {",
         "    const int live = count - first < 8 ? (int)(count - first) : 8;",
-        "    for (int k = 0; k < 8; ++k) {",
-        f"      const double *row = rows + (first + (k < live ? k : live - 1)) * {width};",
-        f"      for (int j = 0; j < {width}; ++j) ((double *)from)[8 * j + k] = row[j];",
-        "    }",
-        *(f"    lanes w{i};" for i in work),
+        "    double *into = (double *)from;",
+        "    for (long b = 0; b < blocks; into += 8 * widths[b], ++b)",
+        "      for (int k = 0; k < 8; ++k) {",
+        "        const double *row = rows[b] + (first + (k < live ? k : live - 1)) * widths[b];",
+        "        for (long j = 0; j < widths[b]; ++j) into[8 * j + k] = row[j];",
+        "      }",
         *(f"    {line}" for line in lines),
     ]
     for i, size in enumerate(results):

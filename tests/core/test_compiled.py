@@ -196,8 +196,19 @@ def test_what_cannot_be_done_by_eights_is_done_one_by_one(cache: Path):
 def test_columns_that_do_not_fit_are_refused(cache: Path):
     if compiler() is None:
         pytest.skip("no C compiler here")
-    with pytest.raises(ValueError, match=r"expected \(1, 3\)"):
-        compile_rows(every_operation())(np.zeros(1), np.zeros((4, 2)))
+    fast = compile_rows(every_operation())
+    with pytest.raises(ValueError, match=r"expected \(1, 3, 4\)"):
+        fast(np.zeros(1), np.zeros((4, 2)))
+    with pytest.raises(ValueError, match=r"expected \(1, 3, 4\)"):
+        fast(np.zeros(1), np.zeros((4, 2)), np.zeros((3, 1)))
+
+
+def test_columns_may_come_in_blocks(cache: Path):
+    theta, rows = np.array([0.3]), np.random.default_rng(3).uniform(0.1, 0.9, (21, 3))
+    f = compile_rows(every_operation())
+    apart = f(theta, rows[:, :1], np.zeros((21, 0)), rows[:, 1:])
+    for one, other in zip(f(theta, rows), apart, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_rows_without_a_compiler(cache: Path, monkeypatch: pytest.MonkeyPatch):
