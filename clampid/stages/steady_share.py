@@ -19,14 +19,16 @@ WEIGHED = 20_000
 
 
 def steady_share(parts: Sequence[LogPart], window: int = WINDOW) -> float:
-    """The share, 0 to 1, of the motors' rows in motion that count without inertia; 1 for a session without logs.
+    """The share, 0 to 1, of what the motors' rows in motion tell that is left without inertia; 1 without logs.
 
-    Such a row is hardly accelerated, and the inertia torque of the described bodies is small compared with the noise
-    (:func:`clampid.stages.counting.negligible`).
+    A row that counts without inertia is hardly accelerated, and the inertia torque of the described bodies is small
+    compared with the noise (:func:`clampid.stages.counting.negligible`). Dry friction is determined by the number of
+    rows, viscous friction by the sum of their squared speeds. It is the smaller of the two shares: of a log of several
+    speeds, the fast runs may be lost although nearly all rows, which are slow, count.
     """
     if not parts:
         return 1.0
-    steady = moving = 0
+    steady, moving = np.zeros(2), np.zeros(2)
     facts = facts_of(parts, window)
     for p, part in enumerate(parts):
         robot, runs = part.campaign.robot, np.flatnonzero(facts.runs[:, 0] == p)
@@ -44,11 +46,13 @@ def steady_share(parts: Sequence[LogPart], window: int = WINDOW) -> float:
             shown = motion.resolved[:, None]
             moves, calm = (shown & counting(signals, T, facts, run, wrist, kind) for kind in (True, False))
             moves, calm = moves[chosen], calm[chosen]
-            moving += int(moves.sum())
+            # In units of each motor's own speeds: no motor counts for more than another.
+            fast = (signals["motor_speed"][chosen] / np.maximum(facts.clear_motor, 1e-300)) ** 2
+            moving += moves.sum(), fast[moves].sum()
             some = np.flatnonzero(calm.any(axis=1))
             q, qd, qdd, _ = motion.of(chosen[some])
-            torque = inertia_torque(part.campaign, q, qd, qdd) @ T.T
-            steady += int((calm[some] & negligible(torque, facts)).sum())
+            counts = calm[some] & negligible(inertia_torque(part.campaign, q, qd, qdd) @ T.T, facts)
+            steady += counts.sum(), fast[some][counts].sum()
             last_run = int(run[w.stop - 1])
             moved = np.any(signals["joint_motion"][: w.stop][run[: w.stop] == last_run] != 0.0, axis=0)
-    return steady / moving if moving else 1.0
+    return float(np.min(steady / moving)) if np.all(moving > 0.0) else 1.0

@@ -20,6 +20,7 @@ OF_ITS_SIZE = 0.8  # of the noise
         ("dress_pack/free_air", 180),
         ("dress_pack/free_air", 186),  # beside a level that walks
         ("load_dependent_friction/free_air", 3700),  # five speeds at 20 Hz, most moves of hundreds of samples
+        ("stribeck_friction/free_air", 3803),  # the same, and without inertia in the model no fast row counts
     ],
 )
 def test_the_cause_is_named_whatever_its_shape(label: str, seed: int):

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from clampid.catalogue import catalogue
 from clampid.diagnosis.diagnose import diagnose
-from clampid.identification.identify import identify, standard_effects
+from clampid.identification.identify import effects_in, identify, stage_rows, standard_effects
+from clampid.stages.layout import layout_of
 from experiments.campaign import read_campaign
 from experiments.second_world import HIDDEN, draw_robot, magnitude_for, measure
 from experiments.second_world.arrays import stream
@@ -95,9 +97,26 @@ def test_a_log_that_is_accelerated_nearly_everywhere_has_inertia_from_the_start(
     assert {"inertia", "link_inertia"} <= {t.effect for t in standard_effects([campaign])["free_air"]}
     errors = identify(campaign).ledger[-1]
     assert errors.heldout_rms < 1.5 * errors.noise_floor  # without inertia: 14
-    measure(robot, tmp_path / "slow", log="five_speeds", tables=("free_air",), noise="white", seed=58)
+    robot = draw_robot("offset6", 3702)
+    measure(robot, tmp_path / "slow", log="two_warmths", tables=("free_air",), noise="white", seed=3702)
     slow = read_campaign(tmp_path / "slow")
     assert "link_inertia" not in {t.effect for t in standard_effects([slow])["free_air"]}
+
+
+@pytest.mark.slow
+def test_the_fast_runs_of_a_log_are_not_lost_because_most_rows_are_slow(tmp_path):
+    """Five speeds: 72 % of the rows count without inertia, and of the fastest run none."""
+    robot = draw_robot("uncoupled6", 3700)
+    measure(robot, tmp_path / "c", log="five_speeds", tables=("free_air",), noise="white", seed=3700)
+    campaign = read_campaign(tmp_path / "c")
+    standard = standard_effects([campaign])["free_air"]
+    assert {"inertia", "link_inertia"} <= {t.effect for t in standard}
+    layout = layout_of([campaign])
+    calm, every = (stage_rows([campaign], layout, "free_air", active=active).used
+                   for active in ((), effects_in(standard, catalogue())))  # fmt: skip
+    fastest = campaign.tables["free_air"]["run"].to_numpy() == campaign.tables["free_air"]["run"].iloc[0]
+    assert calm.sum() > 0.5 * every.sum()
+    assert calm[fastest].sum() < 0.05 * every[fastest].sum()
 
 
 @pytest.mark.slow
