@@ -38,7 +38,7 @@ def probes(estimate: Estimate) -> list[Candidate]:
     if rows.kind.points:
         return _pose_probes(estimate)
     if rows.kind.moving:
-        return _motor_probes(estimate, _log_covariates(rows, rows.measured - estimate.residual))
+        return _motor_probes(estimate, _log_covariates(rows))
     return _motor_probes(estimate, _sweep_covariates(rows)) if rows.kind.solved else []
 
 
@@ -195,20 +195,12 @@ def _periodic(rows: Rows, levers: Levers) -> Candidate | None:
     )
 
 
-def _log_covariates(rows: Rows, predicted: Array) -> list[list[Covariate]]:
-    """Covariates of each motor's torque.
-
-    Parameters
-    ----------
-    predicted
-        Torques of the motors by the fit ``(N, n)``, Nm. What one motor bears beyond its described weight, such as
-        inertia and an undescribed tool, loads its neighbour's bearings too.
-    """
+def _log_covariates(rows: Rows) -> list[list[Covariate]]:
     s, n = rows.signals, rows.robot.n
     T = np.asarray(rows.robot.transmission)
     elapsed, around = _scaled(s["elapsed"]), _surroundings(rows)
     loads = s["gravity_torque"] @ T.T
-    sizes = np.abs(predicted) / np.maximum(predicted.std(axis=0), 1e-300)
+    sizes = np.abs(loads) / np.maximum(loads.std(axis=0), 1e-300)
     waves = [_harmonics(s["q"][:, k], 1) for k in range(n)]
     pairs: list[Covariate] = []
     for k, i in combinations(range(n), 2):
