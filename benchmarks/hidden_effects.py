@@ -2,7 +2,7 @@
 
     python benchmarks/hidden_effects.py OUT [--worlds first,second] [--robots 10] [--seed 1] [--sizes 0.4,0.8,1.6]
         [--families base_tilt,…] [--stages poses,…] [--clean 100] [--poses 200] [--workers 1] [--part 1/1]
-        [--kinds single,several,outside,clean] [--no-best] [--report]
+        [--kinds single,several,outside,clean] [--draw 0] [--no-best] [--report]
 
 Sizes are the rms of what the start model leaves of the effect, in units of the noise (`hidden_cases.py`). Prints how
 often the first name is right, the rate of false alarms where nothing is hidden, how often an effect outside the
@@ -10,7 +10,8 @@ library is called unknown, how often the set is exact where two or three are hid
 possible, and the CPU time; and, where both worlds were asked, the two side by side with the gap between them. Writes
 OUT/results.jsonl, one line a verdict, from which it goes on where it was stopped; OUT/WORLD/summary.json, table.md and
 confusion.svg. `--part 2/3` runs every third trial from the second on. All of one world takes most of a day on one
-core; `--robots 2 --sizes 0.8 --clean 10` half an hour.
+core; `--robots 2 --sizes 0.8 --clean 10` half an hour. `--draw 3` takes three effects of each stage and one outside the
+library of each robot, by its seed: twenty robots of the second world at one size take half an hour.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import numpy as np
 from hidden_cases import Case
 from hidden_table import by_case, draw, printed, side_by_side, summary
 from hidden_trial import clean_trial, hidden_trial
@@ -79,18 +81,33 @@ def jobs(options: argparse.Namespace) -> Iterator[Job]:
         for size in (sizes if kind != "several" else [SEVERAL_SIZE])
         if kind in kinds and case.stage in stages and (families is None or set(case.hidden) & set(families))
     ]
+    by_world = {w.name: list(dict.fromkeys(case for name, case, _ in wanted if name == w.name)) for w in worlds}
     clean = options.clean if "clean" in kinds and families is None else 0
     done = 0
     rest = (options.poses, options.best)
     for number in range(options.robots):
         seed = options.seed + number
-        yield from (Job(world, case, size, seed, *rest) for world, case, size in wanted)
+        mine = {name: drawn(wanted_of, seed, options.draw) for name, wanted_of in by_world.items()}
+        yield from (Job(name, case, size, seed, *rest) for name, case, size in wanted if case in mine[name])
         until = clean * (number + 1) // options.robots
         first = CLEAN_SEED + options.seed - 1
         yield from (
             Job(world.name, None, 0.0, first + k, *rest, stages) for k in range(done, until) for world in worlds
         )
         done = until
+
+
+def drawn(cases: Sequence[Case], seed: int, count: int) -> list[Case]:
+    """So many of the single effects of each stage, and one outside the library, by seed; all cases where it is 0."""
+    if not count:
+        return list(cases)
+    rng, out = np.random.default_rng(seed), list[Case]()
+    single = [case for case in cases if not case.depends_on and len(case.hidden) == 1]
+    for stage in STAGES:
+        mine = [case for case in single if case.stage == stage]
+        out += [mine[k] for k in rng.choice(len(mine), min(count, len(mine)), replace=False)] if mine else []
+    outside = [case for case in cases if case.depends_on]
+    return [*out, outside[rng.integers(len(outside))]] if outside else out
 
 
 def part_of(all_jobs: list[Job], part: str) -> list[Job]:
@@ -113,6 +130,7 @@ def main() -> None:
     parser.add_argument("--clean", type=int, default=100, help="robots with nothing hidden")
     parser.add_argument("--poses", type=int, default=200)
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--draw", type=int, default=0, help="effects of each stage that a robot is tested with; 0: all")
     parser.add_argument("--no-best", dest="best", action="store_false", help="do not fit the true effects")
     parser.add_argument("--report", action="store_true", help="run nothing, report on all that OUT holds")
     options = parser.parse_args()
