@@ -19,12 +19,14 @@ WEIGHED = 20_000
 
 
 def steady_share(parts: Sequence[LogPart], window: int = WINDOW) -> float:
-    """The share, 0 to 1, of what the motors' rows in motion tell that is left without inertia; 1 without logs.
+    """How much of the motors' motion a log shows without inertia, 0 to 1; 1 for a session without logs.
+
+    It is the smaller of two numbers: the share of the rows in motion that count without inertia, and how large the mean
+    squared speed of these is beside that of all rows in motion. A log of several speeds may lose its fast runs, and
+    what friction tells of speed, although nearly all of its rows, which are slow, count.
 
     A row that counts without inertia is hardly accelerated, and the inertia torque of the described bodies is small
-    compared with the noise (:func:`clampid.stages.counting.negligible`). Dry friction is determined by the number of
-    rows, viscous friction by the sum of their squared speeds. It is the smaller of the two shares: of a log of several
-    speeds, the fast runs may be lost although nearly all rows, which are slow, count.
+    compared with the noise (:func:`clampid.stages.counting.negligible`).
     """
     if not parts:
         return 1.0
@@ -55,4 +57,7 @@ def steady_share(parts: Sequence[LogPart], window: int = WINDOW) -> float:
             steady += counts.sum(), fast[some][counts].sum()
             last_run = int(run[w.stop - 1])
             moved = np.any(signals["joint_motion"][: w.stop][run[: w.stop] == last_run] != 0.0, axis=0)
-    return float(np.min(steady / moving)) if np.all(moving > 0.0) else 1.0
+    if not np.all(moving > 0.0):
+        return 1.0
+    rows, squares = (steady / moving).tolist()
+    return float(min(rows, squares / rows)) if rows else 0.0
