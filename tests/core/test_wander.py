@@ -123,7 +123,7 @@ def test_residual_and_columns_pass_one_filter(simulated: Callable[..., Campaign]
 
 
 @pytest.mark.slow
-def test_a_log_whose_readings_wander_as_one_over_f_lacks_nothing(tmp_path: Path) -> None:
+def test_a_log_whose_readings_wander_as_one_over_f_lacks_its_rotors_inertia_alone(tmp_path: Path) -> None:
     """It was called an offset and a Stribeck curve; what is left then depended on time."""
     measure(
         draw_robot("offset6", 1067), tmp_path / "arm", noise="pink", log="five_speeds", tables=("free_air",), seed=1067
