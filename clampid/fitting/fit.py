@@ -20,7 +20,7 @@ from clampid.fitting.visits import with_repeatability
 from clampid.slots import Prior, Slot
 from clampid.stages.clamped_rows import BLOCK_ROWS
 from clampid.stages.fit_problem import FitProblem
-from clampid.stages.rows import POSE_CHANNELS, Array, Bools, Rows, lengths
+from clampid.stages.rows import POSE_CHANNELS, Array, Bools, Integers, Rows, lengths
 from clampid.stages.statements import about
 
 __all__ = [
@@ -241,11 +241,25 @@ def _studentised(estimate: Estimate) -> Array:
     problem, out = estimate.problem, estimate.residual.copy()
     if not problem.kind.moving:
         return out
-    white = estimate.whitened
-    if estimate.noise.autocorrelations:  # leverage is that of the rows, not of the prewhitened ones
-        white = Noise(estimate.noise.sigma).whiten(problem.rows, *problem.residual(estimate.theta))
-    root = root_of_inverse(white.normal + estimate.prior_precision)
-    out[white.entry, white.channel] /= share_left(white.jacobian, root)
+    if not estimate.noise.autocorrelations:
+        white = estimate.whitened
+        root = root_of_inverse(white.normal + estimate.prior_precision)
+        for motor in np.unique(white.channel):
+            own = white.channel == motor
+            out[white.entry[own], motor] /= share_left(white.jacobian[own], root)
+        return out
+    # Leverage is that of the rows, not of the prewhitened ones.
+    _, jacobian = problem.residual(estimate.theta)
+    normal, of_motor = estimate.prior_precision.copy(), list[tuple[Integers, Array]]()
+    for motor in range(out.shape[1]):
+        used = np.flatnonzero(problem.rows.used[:, motor])
+        own_rows = jacobian[used, motor] / estimate.noise.sigma[used, motor, None]
+        shown = np.flatnonzero(np.any(own_rows, axis=0))
+        normal[np.ix_(shown, shown)] += own_rows[:, shown].T @ own_rows[:, shown]
+        of_motor.append((used, own_rows))
+    root = root_of_inverse(normal)
+    for motor, (used, own_rows) in enumerate(of_motor):
+        out[used, motor] /= share_left(own_rows, root)
     return out
 
 

@@ -38,5 +38,8 @@ def share_left(jacobian: Array, root: Array) -> Array:
     root
         ``(P, c)``: :func:`root_of_inverse` of the normal matrix with its prior.
     """
+    shown = np.any(jacobian, axis=0)  # rows of one motor show a third of a log's parameters
+    if np.count_nonzero(shown) < root.shape[1]:
+        jacobian, root = jacobian[:, shown], linalg.qr(root[shown].T, mode="r")[0][: np.count_nonzero(shown)].T
     leverage = np.sum((jacobian @ root) ** 2, axis=1)
     return np.asarray(np.sqrt(np.maximum(1.0 - leverage, LEAST_SHARE)))

@@ -28,7 +28,7 @@ from clampid.stages.prewhitening import (
 from clampid.stages.row_constants import LogConstants
 from clampid.stages.rows import Array, Integers, Rows
 
-__all__ = ["Late", "Noise", "Whitened", "groups_of", "initial_noise", "learn_noise"]
+__all__ = ["Late", "Noise", "Whitened", "groups_of", "initial_noise", "learn_noise", "put_columns"]
 
 LONG_MEMORY_LAG = ORDER // 2 + 1  # from this lag on, an autocorrelation is taken as that of a slow level
 MAD_TO_STD = 1.4826  # standard deviation over median absolute deviation, of a normal distribution
@@ -170,11 +170,11 @@ class Noise:
             if not len(index):
                 continue
             own = jacobian[:, c]
-            touched = np.any(own, axis=0)  # most parameters of a log act on one motor only
+            touched = np.flatnonzero(np.any(own, axis=0))  # most parameters of a log act on one motor only
             both = self.whiten_channel(rows, c, np.c_[residual[:, c], own[:, touched]])
-            r, j = both[:, 0], np.zeros((len(both), jacobian.shape[2]))
-            j[:, touched] = both[:, 1:]
-            parts_r.append(r)
+            j = np.zeros((len(both), jacobian.shape[2]))
+            put_columns(j, touched, both[:, 1:])
+            parts_r.append(both[:, 0])
             parts_j.append(j)
             entries.append(self._middle(rows, index))
             channels.append(np.full(len(both), c))
@@ -224,6 +224,13 @@ class Noise:
     def at(self, chosen: npt.NDArray[np.int64]) -> Noise:
         """The noise of the rows with numbers ``chosen``."""
         return replace(self, sigma=self.sigma[chosen])
+
+
+def put_columns(out: Array, numbers: Integers, columns: Array) -> None:
+    """``out[:, numbers] = columns``, numbers ascending: in runs, which takes a tenth of the time of single columns."""
+    for run in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(numbers) != 1) + 1):
+        if len(run):
+            out[:, numbers[run[0]] : numbers[run[-1]] + 1] = columns[:, run[0] : run[-1] + 1]
 
 
 def initial_noise(rows: Rows) -> Noise:

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from clampid.fitting.descent import covariance_of
-from clampid.fitting.noise import Noise, Whitened
+from clampid.fitting.noise import Noise, Whitened, put_columns
 from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array, Integers
 
@@ -131,7 +131,8 @@ class _Columns:
     def dense(self) -> Array:
         """The whole Jacobian J ``(M, P + K)``."""
         out = np.empty((len(self.own), len(self.log.start)))
-        out[:, self.log.part.linear], out[:, self.log.part.other] = self.log.white.jacobian, self.own
+        put_columns(out, self.log.part.linear, self.log.white.jacobian)
+        put_columns(out, self.log.part.other, self.own)
         return out
 
     def normal(self) -> Array:
