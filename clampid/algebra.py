@@ -5,12 +5,14 @@ Effects import these and nothing else symbolic, so that an effect's file reads l
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from math import pi
 from typing import Any
 
 import casadi as ca
+import numpy as np
+from scipy.interpolate import CubicSpline
 
 __all__ = [
     "across_rows",
@@ -42,6 +44,7 @@ __all__ = [
     "shifted_up",
     "sin",
     "sliding",
+    "spline",
     "tanh",
     "turned_by",
     "turning",
@@ -187,6 +190,20 @@ def fourier(name: str, angle: Any, orders: int) -> dict[str, Any]:
 def winding(name: str, angle: Any, orders: int) -> dict[str, Any]:
     """``q4``, ``sin_q4``, ``cos_q4``, …: of a joint that turns more than once, at which a cable is not what it was."""
     return {name: angle, **fourier(name, angle, orders)}
+
+
+def spline(value: Any, nodes: Iterable[float]) -> list[Any]:
+    """Weight of each node in a natural cubic spline at ``value``, which must lie between the first and last node.
+
+    Weights add up to one. They bend smoothly, so that a search for ``value`` takes few steps. As truncated powers:
+    a + b (x - x_0) + sum c_j (x - x_j)^3 over the nodes below x.
+    """
+    x = np.array(list(nodes))
+    through = CubicSpline(x, np.eye(len(x)), bc_type="natural")
+    bends = np.diff(through.c[0], axis=0, prepend=0.0)  # (nodes - 1, nodes)
+    steps = [fmax(0.0, value - node) ** 3 for node in x[:-1]]
+    lines = zip(through(x[0]), through(x[0], 1), bends.T, strict=True)
+    return [a + b * (value - x[0]) + sum(c * step for c, step in zip(own, steps, strict=True)) for a, b, own in lines]
 
 
 def powers(name: str, value: Any, orders: int) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from clampid.planning.logs import TorqueNoise, planned_log, planned_rows
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from clampid.slots import Term
-from clampid.stages.counting import explains_acceleration
+from clampid.stages.counting import explained
 from clampid.stages.rows import Array, Rows
 from clampid.stages.torques import torque_rows
 from experiments.campaign import Campaign
@@ -198,8 +198,7 @@ def _imagined_rows(
     rows = torque_rows(
         [replace(campaign, tables=MappingProxyType({"free_air": table}))],
         own.layout,
-        accelerating=explains_acceleration(effects_in(terms, effects)),
-        resting="dry_state" in own.signals,
+        *explained(effects_in(terms, effects)),
     )
     since = float(own.signals["elapsed"].max()) if state == "warm" else 0.0
     signals = {**rows.signals, "elapsed": rows.signals["elapsed"] + since}

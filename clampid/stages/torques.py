@@ -112,8 +112,7 @@ def torque_rows(
     motion = _motion_of(parts, facts)
     signals = motion_signals(motion, T, facts, run, time) | temperatures(joined, n)
     used = counting(signals, T, facts, run, layout.wrist, accelerating, resting) & motion.resolved[:, None]
-    if resting:
-        signals["dry_state"] = friction_states(signals, time, run, facts.motions.logged)
+    signals["dry_state"] = friction_states(signals, time, run, facts.motions.logged)
     for s, campaign in enumerate(campaigns):
         chosen = session == s
         if not np.any(chosen):
