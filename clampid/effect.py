@@ -231,6 +231,10 @@ class Effect:
         Its shape parameter that says where, along the angle of its joint, an effect on that angle sits that is nothing
         elsewhere. Diagnosis tries every place that poses visited (:mod:`clampid.evidence.scan`), with every value of
         its other shapes; a fit begins at the likeliest.
+    order
+        Its shape parameter that says how often an effect on motor torques repeats in a revolution of its motor, where
+        nobody knows. Diagnosis tries every order that the rows resolve (:mod:`clampid.evidence.orders`); a fit begins
+        at the likeliest.
     caveat
         What standard errors of its parameters leave out, in words.
     known_within
@@ -255,6 +259,7 @@ class Effect:
     aligns: str | None = None
     event: str | None = None
     scanned: str | None = None
+    order: str | None = None
     meaning: str = field(default="")
     caveat: str = field(default="")
     known_within: Within | None = None
@@ -269,6 +274,11 @@ class Effect:
         if self.scanned is not None and (self.per != "joint" or tuple(self.acts) != ("joint_angle",)):
             raise EffectError(
                 f"effect {self.name}: scanned: expected an effect per joint on joint_angle alone, found one per "
+                f"{self.per} on {', '.join(self.acts)}"
+            )
+        if self.order is not None and (self.per != "joint" or tuple(self.acts) != ("motor_torque",)):
+            raise EffectError(
+                f"effect {self.name}: order: expected an effect per joint on motor_torque alone, found one per "
                 f"{self.per} on {', '.join(self.acts)}"
             )
         search = self.search

@@ -23,6 +23,7 @@ from clampid.diagnosis.wandering import whitened_by, with_wander
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.events import event_scores
+from clampid.evidence.orders import order_scores
 from clampid.evidence.scan import scan
 from clampid.evidence.score import Flips, Scored, flip_maxima, score
 from clampid.evidence.space import Space, space_of
@@ -144,7 +145,7 @@ def _scores_of(
     space, free, free_null = _probed(estimate, flips, seed, granted, block)
     fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= DICTIONARY_FALSE_ALARMS}
     named = score(space, named_candidates(estimate, effects, fired))
-    events = event_scores(estimate, space, effects)
+    events = event_scores(estimate, space, effects) + order_scores(estimate, space, effects)
     named_null = flip_maxima(space, named, flips, seed).joined(len(events), seed)
     named = [s.remembered for s in named] + events
     local = scan(estimate, space, effects, flips, seed)

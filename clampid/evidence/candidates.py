@@ -104,7 +104,7 @@ def label_of(name: str, places: Sequence[str]) -> str:
 
 
 def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Term]:
-    """Every effect that acts in this stage, at every place where it is not active; without events and scanned effects.
+    """Every effect that acts in this stage, at all places where it is not active; not those that are sought otherwise.
 
     An effect that refines another one is searched only where the other is active: a hardening spring where there is a
     spring.
@@ -115,7 +115,7 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
     for effect in effects.values():
         if not estimate.problem.kind.has(effect) or effect.aligns is not None:
             continue
-        if effect.event is not None or effect.scanned is not None:
+        if effect.event is not None or effect.scanned is not None or effect.order is not None:
             continue
         if effect.search.opt_in or not _temperatures_vary(estimate, effect):
             continue

@@ -86,7 +86,7 @@ def fit(
         raise FitError(f"{problem.stage}: no rows can be used: no motor moves, or every row is an outlier")
     precision, mean = prior_of(problem, priors)
     theta = start_of(problem, start, priors)
-    mean = np.where(problem.fixed(), theta, mean)
+    mean = np.where(problem.centred(), theta, mean)
     rejected = np.zeros(len(problem.rows), dtype=bool)
     model = noise or weights or initial_noise(problem.rows)
     theta = _kept_first(problem, theta, model, precision, mean)
@@ -141,7 +141,7 @@ def _along_bars(estimate: Estimate, priors: Sequence[Prior]) -> Estimate:
             return estimate
         problem = estimate.problem.with_rows(replace(rows, constants=replace(rows.constants, stated=now)))
         precision, mean = prior_of(problem, priors)
-        mean = np.where(problem.fixed(), estimate.theta, mean)
+        mean = np.where(problem.centred(), estimate.theta, mean)
         estimate = solve(problem, estimate.theta, estimate.noise, precision, mean)
     return estimate
 

@@ -56,7 +56,7 @@ def with_friction_start(
         return start
     precision, mean = prior_of(problem, priors)
     theta = start_of(problem, start, priors)
-    mean = np.where(problem.fixed(), theta, mean)
+    mean = np.where(problem.centred(), theta, mean)
     best = solve(problem, theta, initial_noise(problem.rows), precision, mean)
     for _ in range(START_PASSES):
         before = best.cost

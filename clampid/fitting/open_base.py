@@ -170,7 +170,7 @@ def _likeliest(problem: FitProblem, rows: Rows, turn: OpenTurn, angles: Array, p
     """The one of the rotations ``angles`` ``(K, k)``, rad, with the lowest cost: ``(k,)``."""
     precision, mean = prior_of(problem, priors)
     theta, noise = start_of(problem, None, priors), initial_noise(rows)
-    mean = np.where(problem.fixed(), theta, mean)
+    mean = np.where(problem.centred(), theta, mean)
 
     def cost(angle: Array) -> float:
         there = problem.with_rows(_turned(rows, turn, angle))

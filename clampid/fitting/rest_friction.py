@@ -178,7 +178,7 @@ def _fixed_prior(problem: FitProblem, open_: Sequence[int], theta: Array) -> Pri
 def _solved(problem: FitProblem, priors: Sequence[Prior], open_: Sequence[int], theta: Array) -> Estimate:
     """The fit from ``theta`` ``(P,)`` with the parameters ``open_`` fixed there."""
     precision, mean = prior_of(problem, (*priors, _fixed_prior(problem, open_, theta)))
-    mean = np.where(problem.fixed(), theta, mean)
+    mean = np.where(problem.centred(), theta, mean)
     return solve(problem, theta, initial_noise(problem.rows), precision, mean)
 
 

@@ -19,7 +19,7 @@ from clampid.identification.joint_vs_stagewise import joint_fit_disagreements
 from clampid.models.model import Model, Round, Session, StageModel
 from clampid.progress import in_parts
 from clampid.slots import Layout, Term, parse_term
-from clampid.stages.counting import explains_rest
+from clampid.stages.counting import needs_whole_log
 from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import log_parts
 from clampid.stages.pose_rows import Anchors
@@ -230,7 +230,7 @@ def identify(
     before: dict[Stage, StageModel] = {}
     for stage, wanted in in_parts(terms.items(), lambda item: f"fitting {item[0]}"):
         active, log = effects_in(wanted, catalogue), None
-        if kind_of(stage).moving and not explains_rest(active):
+        if kind_of(stage).moving and not needs_whole_log(active):
             log = LogStage(log_parts(several), layout, catalogue, wanted)
         if log is not None and (log.linear or not joint):
             parts.append(log.fit(held_out_folds(log.folds, holdout, seed), seed=seed))

@@ -20,7 +20,7 @@ from clampid.identification.identify import (
 from clampid.identification.identify_log import LogStage
 from clampid.models.model import Model, Round
 from clampid.slots import Term, parse_term
-from clampid.stages.counting import explains_rest
+from clampid.stages.counting import needs_whole_log
 from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import LogPart
 from clampid.stages.stage_kind import acts_with
@@ -104,10 +104,10 @@ def identify_folder(
                 raise EffectError(f"effect {term.effect} does not act in free_air; it does in: {acts}")
     elif steady_share(parts) < LEAST_STEADY_SHARE:
         terms = (*terms, *map(Term, DYNAMICS))
-    if explains_rest(effects_in(terms, catalogue)):
+    if needs_whole_log(effects_in(terms, catalogue)):
         raise EffectError(
-            f"effects {', '.join(t.label for t in terms)}: expected none that reads a state of friction, which follows "
-            "the whole run, found one; read the campaign whole to fit it"
+            f"effects {', '.join(t.label for t in terms)}: expected none that needs the whole log, such as a "
+            "state of friction, found one; read the campaign whole to fit it"
         )
     stage = LogStage(parts, layout, catalogue, terms)
     fitted = stage.fit(held_out_folds(stage.folds, holdout, seed), seed=seed)

@@ -174,7 +174,7 @@ class LogStage:
         priors = description_priors(self.folds)
         at = start_of(self.problem, start, priors)
         precision, mean = prior_of(self.problem, priors)
-        mean = np.where(self.problem.fixed(), at, mean)
+        mean = np.where(self.problem.centred(), at, mean)
         prior = LogPrior(precision, mean, limits_of(self.problem))
         part = parts_of(self.folds, kept, seed)
         fit, weights = fit_log(self.design, kept, prior, at, part), None

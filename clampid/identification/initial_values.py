@@ -1,8 +1,8 @@
 """Initial values of effects whose shape parameters have no gradient at zero amplitude.
 
-An effect that aligns the curves of another gets its initial values from a fit of the other. The time of an event, and
-the position of an effect along a joint's angle, come from a fit without the effect. The size of amplitudes comes from a
-first fit with them.
+An effect that aligns the curves of another gets its initial values from a fit of the other. The time of an event,
+the position of an effect along a joint's angle, and its order come from a fit without the effect. The size of
+amplitudes comes from a first fit with them.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from clampid.effect import Effect, EffectError
 from clampid.evidence.alignment import Alignment, alignment_of
 from clampid.evidence.events import time_of
 from clampid.evidence.of_size import sized
+from clampid.evidence.orders import order_of
 from clampid.evidence.scan import place_of
 from clampid.fitting.solve import Estimate
 from clampid.slots import Layout, Slot, Term
@@ -32,7 +33,7 @@ def initial_values(
 ) -> tuple[tuple[Term, ...], dict[Slot, float]]:
     """Terms and initial values with which a fit can start.
 
-    * An effect at an unknown angle of a joint gets the likeliest angle.
+    * An effect at an unknown angle of a joint gets the likeliest angle, one of unknown order the likeliest order.
     * An event whose amplitudes have no initial value gets the likeliest time, even if a time is given.
     * An effect that aligns the curves of another, and has no initial value, gets the joints that share one curve. It
       replaces the other effect there. Joints that were not named and do not share the curve have a curve of their own.
@@ -81,7 +82,7 @@ def initial_values(
         terms = (*rest, *(Term(name, p) for p in shared), *(Term(effect.aligns, p) for p in own))
         start |= estimate.values() | found.values(effect)
     start |= _times(terms, effects, start, fit_terms)
-    start |= _angles(terms, effects, layout, start, fit_terms)
+    start |= _sought(terms, effects, layout, start, fit_terms)
     return terms, start | _sizes(terms, effects, start, fit_terms)
 
 
@@ -115,24 +116,27 @@ def _times(
     return found
 
 
-def _angles(
+def _sought(
     terms: Sequence[Term],
     effects: Mapping[str, Effect],
     layout: Layout,
     start: Mapping[Slot, float],
     fit_terms: FitTerms,
 ) -> dict[Slot, float]:
-    """Angles, rad, of effects at an unknown angle of a joint, found one joint after the other."""
+    """Angles, rad, and orders of effects where they are unknown, found one joint after the other."""
     found: dict[Slot, float] = {}
-    known = {(slot.effect, slot.place) for slot in start if effects[slot.effect].scanned == slot.parameter}
-    scanned = [t for t in dict.fromkeys(terms) if effects[t.effect].scanned is not None]
-    every = [Term(t.effect, p) for t in scanned for p in ([t.place] if t.place else layout.allowed(effects[t.effect]))]
+    sought = {name: e.scanned or e.order for name, e in effects.items()}
+    known = {(slot.effect, slot.place) for slot in start if sought[slot.effect] == slot.parameter}
+    own = [t for t in dict.fromkeys(terms) if sought[t.effect] is not None]
+    every = [Term(t.effect, p) for t in own for p in ([t.place] if t.place else layout.allowed(effects[t.effect]))]
     new = [t for t in every if (t.effect, t.place) not in known]
-    rest = [t for t in terms if t not in scanned]
+    rest = [t for t in terms if t not in own]
     for k, term in enumerate(new):
         before = [t for t in every if t not in new[k:]]
         without = fit_terms([*rest, *before], {**start, **found})
-        found |= place_of(without, effects[term.effect], str(term.place))
+        effect = effects[term.effect]
+        likeliest = place_of if effect.scanned is not None else order_of
+        found |= likeliest(without, effect, str(term.place))
     return found
 
 

@@ -168,7 +168,7 @@ def _union(parts: Sequence[JointPart]) -> _Union:
         limits = limits_of(trial)
         scale[here], lower[here], upper[here] = limits.size, limits.lower, limits.upper
         bounded[here] |= limits.bounded
-        mean[here] = np.where(trial.fixed(), _alone(part), own_mean)
+        mean[here] = np.where(trial.centred(), _alone(part), own_mean)
     return _Union(tuple(columns), precision, mean, Limits(scale, lower, upper, bounded))
 
 
@@ -285,5 +285,5 @@ def _estimate(part: FittedStage, theta: Array, covariance: Array, carried_prior:
         whitened=point.white,
         residual=point.residual,
         prior_precision=precision,
-        prior_mean=np.where(alone.problem.fixed(), theta, mean),
+        prior_mean=np.where(alone.problem.centred(), theta, mean),
     )

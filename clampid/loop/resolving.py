@@ -14,12 +14,17 @@ from clampid.diagnosis.linear_refit import step_towards
 from clampid.effect import Effect
 from clampid.evidence.candidates import named_candidates
 from clampid.evidence.events import event_scores
+from clampid.evidence.orders import order_scores
+from clampid.evidence.scan import scan
 from clampid.evidence.score import Scored, score
 from clampid.evidence.space import space_of
 from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Slot, Term
 
 __all__ = ["Resolved", "by_effect", "resolved"]
+
+
+PERMUTATIONS = 20  # for p-values, which are not read here
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,7 @@ def resolved(asked: Sequence[Term], fitted: FittedStage, effects: Mapping[str, E
     }
     space = space_of(estimate)
     scored = [*score(space, named_candidates(estimate, absent)), *event_scores(estimate, space, absent)]
+    scored += [*order_scores(estimate, space, absent), *scan(estimate, space, absent, PERMUTATIONS, seed=0)]
     shapes: dict[Slot, float] = {}
     best: dict[tuple[Term, ...], Scored] = {}
     for term in asked:

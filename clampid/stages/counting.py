@@ -29,6 +29,7 @@ __all__ = [
     "explains_rest",
     "folds_of",
     "motion_signals",
+    "needs_whole_log",
     "negligible",
     "standing_joints",
 ]
@@ -102,6 +103,11 @@ def explains_acceleration(active: Collection[Effect]) -> bool:
 def explains_rest(active: Collection[Effect]) -> bool:
     """Whether some effects model the friction at rest, so that such rows can be used."""
     return any("friction_state" in effect.acts for effect in active)
+
+
+def needs_whole_log(active: Collection[Effect]) -> bool:
+    """Whether a fit needs all rows in memory: friction states follow whole runs, orders are sought in all residuals."""
+    return explains_rest(active) or any(effect.order is not None for effect in active)
 
 
 def explained(active: Collection[Effect]) -> tuple[bool, bool]:

@@ -170,6 +170,14 @@ class FitProblem:
         """Which parameters ``(P + K,)`` a fit keeps fixed at their initial values."""
         return np.array([*fixed_slots(self.slots, self.effects), *([False] * self.offsets)], dtype=bool)
 
+    def centred(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which parameters ``(P + K,)`` have a prior about their initial values: those kept there, and orders.
+
+        Of an order, its declared size is how near a search among all orders comes to it.
+        """
+        orders = [self.effects[slot.effect].order == slot.parameter for slot in self.slots]
+        return np.logical_or(self.fixed(), [*orders, *([False] * self.offsets)])
+
     def own(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which parameters ``(P + K,)`` belong to single runs or sweeps: their offsets, and what happened in one."""
         events = [self.effects[slot.effect].event is not None for slot in self.slots]

@@ -12,6 +12,7 @@ from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.fitting.agreeing import AGREEING_FALSE_ALARMS, MIN_VISITS, agreement
 from clampid.identification.identify import identify, stage_rows
+from clampid.loop.add import add
 from clampid.stages.layout import layout_of
 from clampid.stages.rows import Rows
 from experiments.campaign import Campaign
@@ -106,6 +107,16 @@ def test_a_damaged_tooth_is_named_and_its_rows_are_no_outliers(simulated):
     found = check(campaign, "joint3")
     assert not found.outliers
     assert found.after < 0.6 * found.before
+
+
+@pytest.mark.slow
+def test_a_damaged_tooth_that_is_named_can_be_added(simulated):
+    """`add`, and so `auto`, called it not identifiable: neither looked for its angle."""
+    campaign = simulated(seed=1, poses=200, tables=TABLES, hidden=("damaged_tooth@joint3",))
+    mended, found = add(identify(campaign, STANDARD), campaign, ["local_angle_error@joint3"])
+    values = {s.parameter: v for s, v in mended.stages["poses"].values().items() if s.effect == "local_angle_error"}
+    assert values["middle"] == pytest.approx(truth(campaign)["middle_rad"], abs=0.01)
+    assert found.stages["poses"].after.heldout_rms < 0.6 * found.stages["poses"].before.heldout_rms
 
 
 @pytest.mark.slow
