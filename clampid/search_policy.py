@@ -52,7 +52,8 @@ class Search:
     refines
         An effect that this one refines: diagnosis looks for it only where that one is active.
     superseded_by
-        A recorded signal that shows the same better: diagnosis looks for it only at places that have none of it.
+        A recorded signal that shows the same better: diagnosis looks for it only at places that have none of it, until
+        an effect of that signal is in the model.
     revealed_by
         A probe, one of :data:`PROBES`, that must have fired before diagnosis looks for it: so many parameters cost as
         much time as the rest of the catalogue, and the probe asks the same question of the same rows.

@@ -147,11 +147,15 @@ def _sought(estimate: Estimate, effect: Effect, place: str) -> bool:
 
 
 def _recorded(estimate: Estimate, effect: Effect, place: str) -> bool:
-    """Whether the signal that supersedes an effect was recorded at a joint or link, that is, varies."""
-    if effect.search.superseded_by is None:
+    """Whether the signal that supersedes an effect was recorded at a joint or link, that is, varies.
+
+    Once an effect of that signal is in the model, it does not count: a sensor that sits elsewhere may not show all.
+    """
+    signal, effects = effect.search.superseded_by, estimate.problem.effects
+    if signal is None or any(signal in effects[slot.effect].needs for slot in estimate.slots):
         return False
     number = int(place.removeprefix(effect.per)) - 1
-    return bool(np.ptp(estimate.problem.rows.signals[effect.search.superseded_by][:, number]) > 0.0)
+    return bool(np.ptp(estimate.problem.rows.signals[signal][:, number]) > 0.0)
 
 
 def named_candidates(

@@ -20,6 +20,8 @@ OF_ITS_SIZE = 0.8  # of the noise
         ("dress_pack/free_air", 180),
         ("dress_pack/free_air", 186),  # beside a level that walks
         ("load_dependent_friction/free_air", 3700),  # five speeds at 20 Hz, most moves of hundreds of samples
+        ("warm_up_friction/free_air", 3703),  # one motor's sensor does not follow its friction
+        ("ambient_torque/free_air", 3711),  # beside dry friction that builds up over a travel
         ("stribeck_friction/free_air", 3803),  # the same, and without inertia in the model no fast row counts
     ],
 )
