@@ -20,6 +20,7 @@ __all__ = [
     "count_text",
     "counted",
     "error_text",
+    "error_texts",
     "fixed",
     "floor_text",
     "label_text",
@@ -249,11 +250,20 @@ def floor_text(errors: Iterable[tuple[float | None, float | None]]) -> str:
     return f"the held-out error is {most}{max(times):.2f} times the noise floor"
 
 
-def error_text(value: float | None, unit: str) -> str:
+def error_text(value: float | None, unit: str, digits: int = 3) -> str:
     """An error of a table or stage: metres as mm or µm, ``sigma`` as a multiple of the noise."""
     if value is None or not math.isfinite(value):
         return "–"
-    return f"{number(value)} σ" if unit == "sigma" else readable(value, unit)
+    return f"{number(value, digits)} σ" if unit == "sigma" else readable(value, unit, digits)
+
+
+def error_texts(values: Iterable[float | None], unit: str) -> list[str]:
+    """Errors beside each other, with as many digits, from three to five, as it takes to tell different ones apart."""
+    listed = list(values)
+    known = {v for v in listed if v is not None and math.isfinite(v)}
+    apart = (d for d in (3, 4, 5) if len({error_text(v, unit, d) for v in known}) == len(known))
+    digits = next(apart, 3)
+    return [error_text(v, unit, digits) for v in listed]
 
 
 def count_text(value: int) -> str:

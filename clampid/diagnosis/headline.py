@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
-from clampid.display import error_text, floor_text, length, number, places_text, with_error
+from clampid.display import error_text, error_texts, floor_text, length, number, places_text, with_error
 from clampid.stages.stage_kind import kind_of
 
 __all__ = [
@@ -147,7 +147,7 @@ def _variants(stages: Json, mended: bool) -> Iterator[str]:
     """The sentence with all its detail, then with less and less."""
     falls = [part for part in stages.values() if any(not c["alternative"] for c in part["candidates"])]
     if falls and not _left(stages, True, 99) and (mended or len(falls) == 1):
-        ends = [error_text(falls[0][f"heldout_rms_{when}"], falls[0]["unit"]) for when in ("before", "after")]
+        ends = error_texts([falls[0][f"heldout_rms_{when}"] for when in ("before", "after")], falls[0]["unit"])
         said = _sentence(stages, mended, True, False, 99).removesuffix(".")
         above = any(part.get("above_floor") for part in stages.values())
         rest = "the error is still above the noise floor" if above else "no further effect was found"

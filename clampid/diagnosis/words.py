@@ -9,7 +9,7 @@ import numpy as np
 
 from clampid.diagnosis.headline import listed, named
 from clampid.diagnosis.result import StageDiagnosis
-from clampid.display import count_text, error_text, number
+from clampid.display import count_text, error_text, error_texts, number
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, unit_of
 from clampid.stages.rows import Array, Bools, Rows, lengths
@@ -76,8 +76,10 @@ def _dropped(result: StageDiagnosis) -> list[str]:
 
 def _verdict(result: StageDiagnosis) -> str:
 
+    of_noise = "" if result.unit == "m" else " of the motors' noise"
+
     def shown(x: float) -> str:
-        return error_text(x, result.unit) + ("" if result.unit == "m" else " of the motors' noise")
+        return error_text(x, result.unit) + of_noise
 
     def words(c: Mapping[str, Any]) -> str:
         said = named(c.get("name", c["effect"]), c["where"])
@@ -90,7 +92,8 @@ def _verdict(result: StageDiagnosis) -> str:
     if confirmed:
         what = listed(confirmed, len(confirmed))
         were = "were" if len(confirmed) > 1 else "was"
-        fall = f"Held-out error {shown(result.before)} → {shown(result.after)}; {floor}."
+        ends = [x + of_noise for x in error_texts([result.before, result.after], result.unit)]
+        fall = f"Held-out error {ends[0]} → {ends[1]}; {floor}."
         start = f"{what[:1].upper()}{what[1:]} {were} missing. {fall} "
     error = "" if confirmed else f" Held-out error {shown(result.after)}; {floor}."
     match result.verdict:

@@ -37,7 +37,7 @@ SLOW_ENOUGH = 0.75  # of the numbers of a motor, for which that must hold
 FEWEST_PERIODS = 2.0  # within the motor's range: a part of a wave is any smooth function
 BINS_PER_PERIOD = 16  # of the highest order: the middle of a bin is off by at most a thirty-second of a wave
 ORDERS_PER_PEAK = 4  # tried within the width of a peak, so that at most a twentieth of it is missed
-SPEEDS = 64  # bins of speed for which the filter's response is computed
+SPEEDS, SMOOTH = 64, 512  # speeds and orders for which the filter's response is computed: it changes slowly
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def order_scores(estimate: Estimate, space: Space, effects: Mapping[str, Effect]
     """
     found = []
     for effect in effects.values():
-        if effect.order is None or not kind_of(estimate.problem.stage).has(effect):
+        if effect.order is None or effect.search.opt_in or not kind_of(estimate.problem.stage).has(effect):
             continue
         spectra = _spectra(estimate, space, effect)
         for spectrum, s in zip(spectra, score(space, _candidates(estimate, effect, spectra)), strict=True):
@@ -103,8 +103,11 @@ def _spectra(estimate: Estimate, space: Space, effect: Effect) -> list[_Spectrum
     active = {(slot.effect, slot.place) for slot in estimate.slots}
     found = []
     for place in problem.rows.layout.allowed(effect, problem.stage):
-        own = np.flatnonzero(white.channel == int(place.removeprefix("joint")) - 1)
+        number = int(place.removeprefix("joint")) - 1
+        own = np.flatnonzero(white.channel == number)
         if (effect.name, place) in active or not len(own):
+            continue
+        if effect.search.joint_kind not in (None, problem.rows.robot.joints[number].kind):
             continue
         slot = Slot(effect.name, str(effect.order), place)
         bounds = parameter_of(slot, {effect.name: effect}, problem.rows.robot).bounds
@@ -139,7 +142,8 @@ def _spectrum(
     if not inside.any():
         return None
     product = np.abs(np.fft.rfft(bins, count)[inside]) ** 2
-    squares = _squares(response, order[inside], advance, sigma)
+    some = np.linspace(lower, upper, SMOOTH)
+    squares = np.interp(order[inside], some, _squares(response, some, advance, sigma))
     return _Spectrum(place, order[inside], product / squares, (upper - lower) * reach / (2.0 * np.pi))
 
 

@@ -20,7 +20,7 @@ from clampid.fitting.visits import with_repeatability
 from clampid.slots import Prior, Slot
 from clampid.stages.clamped_rows import BLOCK_ROWS
 from clampid.stages.fit_problem import FitProblem
-from clampid.stages.rows import POSE_CHANNELS, Array, Bools, Integers, Rows, lengths
+from clampid.stages.rows import POSE_CHANNELS, Array, Bools, Rows, lengths
 from clampid.stages.statements import about
 
 __all__ = [
@@ -250,16 +250,15 @@ def _studentised(estimate: Estimate) -> Array:
         return out
     # Leverage is that of the rows, not of the prewhitened ones.
     _, jacobian = problem.residual(estimate.theta)
-    normal, of_motor = estimate.prior_precision.copy(), list[tuple[Integers, Array]]()
+    normal, of_motor = estimate.prior_precision.copy(), list[tuple[Bools, Bools, Array]]()
     for motor in range(out.shape[1]):
-        used = np.flatnonzero(problem.rows.used[:, motor])
-        own_rows = jacobian[used, motor] / estimate.noise.sigma[used, motor, None]
-        shown = np.flatnonzero(np.any(own_rows, axis=0))
-        normal[np.ix_(shown, shown)] += own_rows[:, shown].T @ own_rows[:, shown]
-        of_motor.append((used, own_rows))
+        used, shown = problem.rows.used[:, motor], np.any(jacobian[:, motor], axis=0)
+        columns = jacobian[:, motor, shown][used] / estimate.noise.sigma[used, motor, None]
+        normal[np.ix_(shown, shown)] += columns.T @ columns
+        of_motor.append((used, shown, columns))
     root = root_of_inverse(normal)
-    for motor, (used, own_rows) in enumerate(of_motor):
-        out[used, motor] /= share_left(own_rows, root)
+    for motor, (used, shown, columns) in enumerate(of_motor):
+        out[used, motor] /= share_left(columns, root[shown])
     return out
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from clampid.comparison.compare import compare
 from clampid.diagnosis.diagnose import diagnose
-from clampid.display import error_text
+from clampid.display import error_text, error_texts
 from clampid.identification.identify import identify
 from clampid.loop.add import add
 from clampid.models.model import Model, save_model
@@ -215,9 +215,9 @@ def _errors(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
     lines = []
     for name, table in after["tables"].items():
         unit, was = table["unit"], before["tables"][name]
-        errors = (error_text(t["heldout"]["rms"], unit) for t in (was, table))
+        errors = error_texts([t["heldout"]["rms"] for t in (was, table)], unit)
         floor = error_text(table["noise_floor"], unit)
-        lines.append(f"Held-out error (rms), {name}: {next(errors)} before, {next(errors)} after; noise floor {floor}.")
+        lines.append(f"Held-out error (rms), {name}: {errors[0]} before, {errors[1]} after; noise floor {floor}.")
     return lines
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clampid.diagnosis.headline import is_known
-from clampid.display import Scale, count_text, error_text, number, scale_for, with_std
+from clampid.display import Scale, count_text, error_text, error_texts, number, scale_for, with_std
 from clampid.report.limits import detection_limits, exported, shifted
 from clampid.report.style import Table, as_table
 
@@ -122,8 +122,7 @@ def _candidate(c: Json, unit: str) -> tuple[str, ...]:
         p_text(c.get("p_value")),
         p_text(c.get("p_familywise")),
         p_text(c.get("p_held_out")),
-        error_text(c.get("heldout_rms_before"), unit),
-        error_text(c.get("heldout_rms_after"), unit),
+        *error_texts([c.get("heldout_rms_before"), c.get("heldout_rms_after")], unit),
         _identified(c),
         confusable_text(c),
     )
@@ -171,8 +170,7 @@ def _looked_at(c: Json, unit: str) -> tuple[str, ...]:
         places_text(c),
         p_text(c.get("p_value")),
         p_text(c.get("p_familywise")),
-        error_text(c.get("heldout_rms_before"), unit),
-        error_text(c.get("heldout_rms_after"), unit),
+        *error_texts([c.get("heldout_rms_before"), c.get("heldout_rms_after")], unit),
         "; ".join(remarks) or "–",
         confusable_text(c),
     )

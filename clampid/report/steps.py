@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clampid.diagnosis.held_out import HELD_OUT_RATE
-from clampid.display import error_text, number
+from clampid.display import error_text, error_texts, number
 from clampid.models.model import Model, Round
 from clampid.report.evidence import confusable_text, filled_table, p_text, places_text
 from clampid.report.rounds import rounds_of, unit_of
@@ -73,8 +73,7 @@ def _step(count: str, entry: Round, unit: str) -> tuple[str, ...]:
         *_ps(found)[:2],
         f"{p_text(found.get('p_held_out'))}{' (prior)' if _by_prior(found) else ''}",
         "–" if stable is None else f"{number(100.0 * stable, 2)} %",
-        error_text(found.get("heldout_rms_before"), unit),
-        error_text(found.get("heldout_rms_after"), unit),
+        *error_texts([found.get("heldout_rms_before"), found.get("heldout_rms_after")], unit),
         confusable_text(found),
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from clampid.display import error_text
+from clampid.display import error_text, error_texts
 from clampid.effect import Stage
 from clampid.models.model import Model, Round
 from clampid.report.evidence import comparison_table, evidence, parameters_text
@@ -52,7 +52,7 @@ def _fall(model: Model, first: Model | None, stage: Stage, found: Json | None, c
     unit = unit_of(stage)
     rounds = rounds_of(model, first, stage)
     if len(rounds) > 1:
-        ends = [error_text(r.heldout_rms, unit) for r in (rounds[0], rounds[-1])]
+        ends = error_texts([r.heldout_rms for r in (rounds[0], rounds[-1])], unit)
         floor = error_text(rounds[-1].noise_floor, unit)
         change = rounds[-1].heldout_rms / rounds[0].heldout_rms
         went = f"{'fell' if change < 1 else 'rose'} from {ends[0]} to {ends[1]}"
@@ -60,7 +60,7 @@ def _fall(model: Model, first: Model | None, stage: Stage, found: Json | None, c
             went = f"stayed at {ends[1]}"
         return f"The held-out error {went}; the noise floor is {floor}."
     if found and found.get("candidates"):
-        ends = [error_text(found.get(f"heldout_rms_{when}"), unit) for when in ("before", "after")]
+        ends = error_texts([found.get(f"heldout_rms_{when}") for when in ("before", "after")], unit)
         floor = error_text(found.get("noise_floor"), unit)
         fall = f"the held-out error falls from {ends[0]} to {ends[1]}"
         return f"With the candidates below, {fall}; the noise floor is {floor}."

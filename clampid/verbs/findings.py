@@ -7,7 +7,7 @@ from typing import Any
 
 from clampid.diagnosis.headline import equally_good, is_known
 from clampid.diagnosis.headline import listed as joined
-from clampid.display import error_text, number, places_text, ranged, readable, with_error
+from clampid.display import error_text, error_texts, number, places_text, ranged, readable, with_error
 from clampid.exports.determined import determined_shifts
 from clampid.verbs.limits import show_limits, show_plan
 from clampid.verbs.output import Output
@@ -160,8 +160,7 @@ def _candidate(candidate: Mapping[str, Any], unit: str, good: bool) -> tuple[str
         where_text(candidate["where"]) if isinstance(candidate["where"], str) else places_text(candidate["where"]),
         _number(candidate.get("p_value"), 2),
         _number(candidate.get("p_familywise"), 2),
-        error_text(candidate.get("heldout_rms_before"), unit),
-        error_text(candidate.get("heldout_rms_after"), unit),
+        *error_texts([candidate.get("heldout_rms_before"), candidate.get("heldout_rms_after")], unit),
     )
 
 
@@ -169,7 +168,7 @@ def show_addition(data: Mapping[str, Any], out: Output) -> None:
     """Stage by stage: what was added, and what the error was and is."""
     for stage, part in data["stages"].items():
         unit = part["unit"]
-        before, after = (error_text(part[f"heldout_rms_{when}"], unit) for when in ("before", "after"))
+        before, after = error_texts([part[f"heldout_rms_{when}"] for when in ("before", "after")], unit)
         floor = error_text(part["noise_floor"], unit)
         out.say(f"{stage}: on held-out rows {before} before, {after} after; noise floor {floor}")
         rows = []

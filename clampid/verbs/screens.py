@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clampid.diagnosis.headline import as_added, at_error, headline, left_out_text, listed, named, notes, outcome
-from clampid.display import change_text, count_text, counted, error_text, floor_text, number
+from clampid.display import change_text, count_text, counted, error_text, error_texts, floor_text, number
 from clampid.screen import Errors, Next, Screen, Tone
 from clampid.stages.stage_kind import kind_of, kinds, stage_of_table
 from clampid.verbs.next_step import free_name
@@ -237,7 +237,7 @@ def diagnosis_screen(data: Json, done: str, written: Sequence[str], steps: Seque
     added = any(not c["alternative"] for part in stages.values() for c in part["candidates"])
     heads = {key: head for key, head in zip(KEYS, HEADS, strict=True) if added or key != "heldout_rms_after"}
     rows = [
-        (name, tuple(error_text(part[key], part["unit"]) for key in heads), str(part["verdict"]))
+        (name, _ends(part) if added else tuple(error_text(part[k], part["unit"]) for k in heads), str(part["verdict"]))
         for name, part in stages.items()
     ]
     return Screen(
@@ -254,6 +254,12 @@ def diagnosis_screen(data: Json, done: str, written: Sequence[str], steps: Seque
 
 KEYS = ("heldout_rms_before", "heldout_rms_after", "noise_floor")
 HEADS = ("this model", "mended", "noise floor")
+
+
+def _ends(part: Json) -> tuple[str, ...]:
+    """The errors of a stage before and after, and its noise floor, in words."""
+    ends = error_texts([part[key] for key in KEYS[:2]], part["unit"])
+    return *ends, error_text(part[KEYS[2]], part["unit"])
 
 
 def _notes(stages: Json, mended: bool = False) -> tuple[str, ...]:
@@ -273,11 +279,10 @@ def mended_screen(data: Json, model: Model, nominal: Mapping[Stage, float], done
         if weighted := weights_text(part.get("weights")):
             said.append(f"{name}: {weighted}.")
         before = found.get(name, {}).get("heldout_rms_before")
-        errors = (_of(nominal, name), before, part["heldout_rms"], part["noise_floor"])
+        ends = error_texts([before, part["heldout_rms"]], part["unit"])
+        around = [error_text(e, part["unit"]) for e in (_of(nominal, name), part["noise_floor"])]
         verdict = str(found[name]["verdict"])  # what was missing is in the model by now
-        rows.append(
-            (name, tuple(error_text(e, part["unit"]) for e in errors), "mended" if verdict == "missing" else verdict)
-        )
+        rows.append((name, (around[0], *ends, around[1]), "mended" if verdict == "missing" else verdict))
         labels = [label.partition("@") for label in _still_in(model, name)]
         if labels:
             facts.append((f"{name}:", f"added {_grouped([(effect, place) for effect, _, place in labels])}"))
@@ -312,7 +317,7 @@ def addition_screen(data: Json, done: str, steps: Sequence[Next]) -> Screen:
     """What ``add`` did to the held-out error."""
     rows, worse, same, facts = [], [], [], []
     for name, part in data["stages"].items():
-        rows.append((name, tuple(error_text(part[key], part["unit"]) for key in KEYS), ""))
+        rows.append((name, _ends(part), ""))
         places = [
             (a.get("name", a["effect"]), place)
             for a in part["added"]
@@ -329,7 +334,7 @@ def addition_screen(data: Json, done: str, steps: Sequence[Next]) -> Screen:
         if std is not None:
             facts.append((f"{name}:", f"paired change of the held-out error {change_text(rise, std, part['unit'])}"))
     first = next(iter(data["stages"].values()))
-    ends = [error_text(first[key], first["unit"]) for key in KEYS]
+    ends = _ends(first)
     if worse:
         verdict, tone = f"{listed(worse)}: the held-out error rose, so what was added does not help.", "bad"
     elif len(same) == len(data["stages"]):

@@ -3,7 +3,18 @@
 import pytest
 
 from clampid.diagnosis.omission import shift_in_words
-from clampid.display import Scale, error_text, fixed, number, ranged_text, scale_for, true_minus, with_error, with_std
+from clampid.display import (
+    Scale,
+    error_text,
+    error_texts,
+    fixed,
+    number,
+    ranged_text,
+    scale_for,
+    true_minus,
+    with_error,
+    with_std,
+)
 from clampid.report.page import _typeset
 
 
@@ -75,3 +86,10 @@ def test_a_page_sets_minus_and_thousands():
     assert true_minus("-1384 ± 49") == "−1384 ± 49"
     assert _typeset("555300.25 ± 12000") == "555\u202f300.25 ± 12\u202f000"
     assert _typeset("joint-1, 0.12345") == true_minus("joint-1, 0.12345") == "joint-1, 0.12345"
+
+
+def test_errors_beside_each_other_have_the_digits_that_tell_them_apart() -> None:
+    assert error_texts([1.0742, 1.0669], "sigma") == ["1.074 σ", "1.067 σ"]
+    assert error_texts([2.77e-4, 7.94e-5], "m") == ["277 µm", "79.4 µm"]
+    assert error_texts([52.234e-6, 52.198e-6], "m") == ["52.23 µm", "52.20 µm"]
+    assert error_texts([1.0, 1.0 + 1e-9, None], "sigma") == ["1.00 σ", "1.00 σ", "–"]
