@@ -260,10 +260,8 @@ def error_text(value: float | None, unit: str, digits: int = 3) -> str:
 def error_texts(values: Iterable[float | None], unit: str) -> list[str]:
     """Errors beside each other, with as many digits, from three to five, as it takes to tell different ones apart."""
     listed = list(values)
-    known = {v for v in listed if v is not None and math.isfinite(v)}
-    apart = (d for d in (3, 4, 5) if len({error_text(v, unit, d) for v in known}) == len(known))
-    digits = next(apart, 3)
-    return [error_text(v, unit, digits) for v in listed]
+    three, four, five = ([error_text(v, unit, digits) for v in listed] for digits in (3, 4, 5))
+    return next(texts for texts in (three, four, five) if len(set(texts)) == len(set(five)))
 
 
 def count_text(value: int) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from clampid.diagnosis.headline import listed, named
-from clampid.display import counted, error_text, number
+from clampid.display import counted, error_text, error_texts, number
 from clampid.effect import Stage
 from clampid.exports.dh_export import nominal_rows, static_table
 from clampid.models.drives import drives_of
@@ -85,10 +85,10 @@ def _rounds(model: Model, first: Model | None) -> str:
         if not rounds:
             continue
         unit, last = unit_of(stage), rounds[-1]
-        now, floor = error_text(last.heldout_rms, unit), error_text(last.noise_floor, unit)
+        before, now = error_texts([rounds[0].heldout_rms, last.heldout_rms], unit)
+        floor = error_text(last.noise_floor, unit)
         if len(rounds) == 1:
             return f"The held-out error of the start model is {now}; the noise floor is {floor}."
-        before = error_text(rounds[0].heldout_rms, unit)
         word = "fell" if last.heldout_rms < rounds[0].heldout_rms else "rose"
         return f"The held-out error {word} from {before} to {now}; the noise floor is {floor}."
     return ""

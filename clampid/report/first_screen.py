@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from clampid.diagnosis.headline import MOST_WORDS, as_added, equally_good, headline, listed, named, notes, outcome
-from clampid.display import error_text
+from clampid.display import error_text, error_texts
 from clampid.effect import Stage
 from clampid.models.model import Model, Round
 from clampid.report.rounds import nominal_error, rounds_of, unit_of
@@ -241,7 +241,8 @@ def _fall(rounds: Sequence[Round], nominal: float | None, unit: str) -> Fall | N
     ticks = [m * 10.0**e for e in range(-9, 6) for m in (1, 2, 5) if low <= m * 10.0**e <= high]
     if len(ticks) > 6:
         ticks = [t for t in ticks if f"{t:e}".startswith("1")]
-    steps = tuple(Step(label, error_text(value, unit), place(value)) for label, value in entries)
+    texts = error_texts([value for _, value in entries], unit)
+    steps = tuple(Step(label, text, place(value)) for (label, value), text in zip(entries, texts, strict=True))
     marks = tuple((error_text(t, unit).replace(".00", "").replace(".0 ", " "), place(t)) for t in ticks)
     return Fall(steps, (error_text(floor, unit), place(floor)), marks)
 

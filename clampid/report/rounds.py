@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from clampid.charts import Axis, Chart, Line, Mark, Panel
 from clampid.comparison.nominal import nominal_points
-from clampid.display import error_text
+from clampid.display import error_text, error_texts
 from clampid.effect import Stage
 from clampid.models.model import Model, Round
 from clampid.report.spread import Spread, spread_table
@@ -114,8 +114,8 @@ def _table_rows(stage: Stage, rounds: Sequence[Round], nominal: float | None) ->
     """The same in numbers, with what each round added."""
     unit, title = unit_of(stage), stage_title(stage)
     rows: list[tuple[str, ...]] = [] if nominal is None else [(title, NOMINAL, error_text(nominal, unit), "–", "–")]
-    for k, r in enumerate(rounds):
-        errors = (error_text(value, unit) for value in (r.rms, r.heldout_rms, r.noise_floor))
+    columns = ([r.rms for r in rounds], [r.heldout_rms for r in rounds], [r.noise_floor for r in rounds])
+    for k, (r, *errors) in enumerate(zip(rounds, *(error_texts(c, unit) for c in columns), strict=True)):
         label = f"start model: {', '.join(r.effects)}" if k == 0 else f"round {k}: {_added(r)}"
         rows.append((title, label, *errors))
     return rows
