@@ -22,7 +22,15 @@ from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array
 from clampid.stages.temperatures import reads_temperatures
 
-__all__ = ["Candidate", "columns_of", "label_of", "named_candidates", "terms_not_active"]
+__all__ = [
+    "Candidate",
+    "candidate_of",
+    "columns_of",
+    "is_sought",
+    "label_of",
+    "named_candidates",
+    "terms_not_active",
+]
 
 
 @dataclass(frozen=True)
@@ -129,7 +137,7 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
         out += [
             Term(effect.name, p)
             for p in layout.allowed(effect, estimate.problem.stage)
-            if (effect.name, p) not in active and (not refined or p in refined) and _sought(estimate, effect, p)
+            if (effect.name, p) not in active and (not refined or p in refined) and is_sought(estimate, effect, p)
         ]
     return out
 
@@ -140,7 +148,7 @@ def _temperatures_vary(estimate: Estimate, effect: Effect) -> bool:
     return all(np.any(np.ptp(signals[name], axis=0) > 0.0) for name in effect.needs if reads_temperatures(name))
 
 
-def _sought(estimate: Estimate, effect: Effect, place: str) -> bool:
+def is_sought(estimate: Estimate, effect: Effect, place: str) -> bool:
     """Whether an effect is searched at a joint or link: the kind of joint fits, and no recorded signal replaces it."""
     joint = estimate.problem.rows.robot.joints[int(place.removeprefix(effect.per)) - 1]
     return effect.search.joint_kind in (None, joint.kind) and not _recorded(estimate, effect, place)
@@ -219,7 +227,7 @@ def named_candidates(
             for group in groups:
                 members = list(dict.fromkeys(s for t in group for s in of_term[t] if s in index))
                 if members:
-                    out.append(_candidate(effect, group, members, parameters, index, values, white))
+                    out.append(candidate_of(effect, group, members, parameters, index, values, white))
     return out
 
 
@@ -234,7 +242,7 @@ def columns_of(estimate: Estimate, candidates: Sequence[Candidate]) -> Array:
     return np.asarray(white.jacobian[:, : len(amplitudes)], dtype=float)
 
 
-def _candidate(
+def candidate_of(
     effect: Effect,
     group: Sequence[Term],
     members: Iterable[Slot],
@@ -243,6 +251,17 @@ def _candidate(
     values: Sequence[float],
     white: Whitened,
 ) -> Candidate:
+    """An effect at one place or several as a candidate.
+
+    Parameters
+    ----------
+    group, members
+        What would be added, and its slots.
+    parameters, index, values
+        Slot → parameter on this robot; slot → number of its column; value of each column's slot, SI.
+    white
+        The whitened columns.
+    """
     members = list(members)
     amplitudes = tuple(s for s in members if not parameters[s].shape)
     shapes = {s: values[index[s]] for s in members if parameters[s].shape}

@@ -14,13 +14,12 @@ unequally spaced data, Astrophysics and Space Science 39, 1976.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from clampid.effect import Effect
-from clampid.evidence.candidates import Candidate
-from clampid.evidence.columns import columns_from
+from clampid.evidence.candidates import Candidate, candidate_of, is_sought
 from clampid.evidence.score import Scored, score
 from clampid.evidence.space import Space, space_of
 from clampid.fitting.solve import Estimate, whitened_columns
@@ -83,9 +82,8 @@ def order_scores(estimate: Estimate, space: Space, effects: Mapping[str, Effect]
             continue
         spectra = _spectra(estimate, space, effect)
         for spectrum, s in zip(spectra, score(space, _candidates(estimate, effect, spectra)), strict=True):
-            log_p = min(s.log_p + float(np.log(max(spectrum.independent, 1.0))), 0.0)
-            chosen = float(np.log(max(space.rows, 2)))
-            found.append(replace(s, log_p=log_p, cost=s.cost + chosen, bic=s.bic - chosen))
+            log_p = s.log_p + float(np.log(max(spectrum.independent, 1.0)))
+            found.append(s.of_many(log_p, float(np.log(max(space.rows, 2)))))
     return found
 
 
@@ -105,9 +103,7 @@ def _spectra(estimate: Estimate, space: Space, effect: Effect) -> list[_Spectrum
     for place in problem.rows.layout.allowed(effect, problem.stage):
         number = int(place.removeprefix("joint")) - 1
         own = np.flatnonzero(white.channel == number)
-        if (effect.name, place) in active or not len(own):
-            continue
-        if effect.search.joint_kind not in (None, problem.rows.robot.joints[number].kind):
+        if (effect.name, place) in active or not len(own) or not is_sought(estimate, effect, place):
             continue
         slot = Slot(effect.name, str(effect.order), place)
         bounds = parameter_of(slot, {effect.name: effect}, problem.rows.robot).bounds
@@ -179,27 +175,20 @@ def _candidates(estimate: Estimate, effect: Effect, spectra: Sequence[_Spectrum]
     """The effect at the best order of each motor as candidates."""
     if not spectra:
         return []
-    robot, parameters = estimate.problem.rows.robot, {p.name: p for p in effect.parameters}
-    slots = [Slot(effect.name, name, s.place) for s in spectra for name in parameters]
-    at = {Slot(effect.name, str(effect.order), s.place): s.best for s in spectra}
-    white = whitened_columns(estimate, slots, [at.get(slot, 0.0) for slot in slots])
-    out = []
-    for s in spectra:
-        order = Slot(effect.name, str(effect.order), s.place)
-        chosen = [k for k, slot in enumerate(slots) if slot.place == s.place and slot != order]
-        known = [parameter_of(slots[k], {effect.name: effect}, robot) for k in chosen]
-        out.append(
-            Candidate(
-                name=effect.name,
-                family=effect.family,
-                terms=(Term(effect.name, s.place),),
-                slots=tuple(slots[k] for k in chosen),
-                shapes={order: s.best},
-                columns=columns_from(white, chosen),
-                depends_on=(),
-                places=(s.place,),
-                reasonable=np.array([p.size for p in known]),
-                units=tuple(p.unit for p in known),
-            )
+    slots = [Slot(effect.name, p.name, s.place) for s in spectra for p in effect.parameters]
+    parameters = {slot: parameter_of(slot, {effect.name: effect}, estimate.problem.rows.robot) for slot in slots}
+    best = {Slot(effect.name, str(effect.order), s.place): s.best for s in spectra}
+    values = [best.get(slot, 0.0) for slot in slots]
+    white, index = whitened_columns(estimate, slots, values), {slot: k for k, slot in enumerate(slots)}
+    return [
+        candidate_of(
+            effect,
+            (Term(effect.name, s.place),),
+            [slot for slot in slots if slot.place == s.place],
+            parameters,
+            index,
+            values,
+            white,
         )
-    return out
+        for s in spectra
+    ]

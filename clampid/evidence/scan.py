@@ -17,7 +17,7 @@ of Extremes, 1958.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from types import SimpleNamespace
 from typing import Any
@@ -27,7 +27,7 @@ import numpy as np
 from scipy import optimize, sparse
 
 from clampid.effect import Effect
-from clampid.evidence.candidates import Candidate
+from clampid.evidence.candidates import Candidate, is_sought
 from clampid.evidence.columns import Columns, channel_starts
 from clampid.evidence.score import WEAK_BELOW, Scored, score
 from clampid.evidence.space import Space, space_of
@@ -111,7 +111,7 @@ def scan(estimate: Estimate, space: Space, effects: Mapping[str, Effect], exchan
         off = (float(t.statistic(t.visit_error).max()) - middle) / spread
         log_p = float(np.log(-np.expm1(-np.exp(-off)))) if off < 30.0 else -off
         chosen = len(best.shapes) * float(np.log(max(space.rows, 2)))
-        found.append(replace(s, log_p=min(log_p, 0.0), cost=s.cost + chosen, bic=s.bic - chosen))
+        found.append(s.of_many(log_p, chosen))
     return found
 
 
@@ -138,11 +138,11 @@ def _all_places(
     found = []
     for effect in wanted:
         tables = _tables(effect)
-        for j, joint in enumerate(rows.robot.joints):
+        for j in range(rows.robot.n):
             place = f"joint{j + 1}"
             if (effect.name, place) in active or (only is not None and place not in only):
                 continue
-            if effect.search.joint_kind in (None, joint.kind):
+            if is_sought(estimate, effect, place):
                 tried = _places(estimate, space, effect, j, levers, tables)
                 found += [] if tried is None else [tried]
     return found

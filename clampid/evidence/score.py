@@ -117,6 +117,10 @@ class Scored:
         """The same without ``parts``, which are not needed after the null has been drawn."""
         return replace(self, parts=self.parts[:0].copy())
 
+    def of_many(self, log_p: float, cost: float) -> Scored:
+        """The best of many tried: with the p-value that allows for all of them, and the cost of having chosen."""
+        return replace(self, log_p=min(log_p, 0.0), cost=self.cost + cost, bic=self.bic - cost)
+
     @property
     def freedom(self) -> int:
         """Independent directions of the candidate in these rows."""

@@ -106,8 +106,8 @@ def identify_folder(
         terms = (*terms, *map(Term, DYNAMICS))
     if needs_whole_log(effects_in(terms, catalogue)):
         raise EffectError(
-            f"effects {', '.join(t.label for t in terms)}: expected none that needs the whole log, such as a "
-            "state of friction, found one; read the campaign whole to fit it"
+            f"effects {', '.join(t.label for t in terms)}: expected none that needs the whole log, as a state of "
+            "friction or an order that is sought do, found one; read the campaign whole to fit it"
         )
     stage = LogStage(parts, layout, catalogue, terms)
     fitted = stage.fit(held_out_folds(stage.folds, holdout, seed), seed=seed)

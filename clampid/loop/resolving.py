@@ -23,7 +23,6 @@ from clampid.slots import Slot, Term
 
 __all__ = ["Resolved", "by_effect", "resolved"]
 
-
 PERMUTATIONS = 20  # for p-values, which are not read here
 
 
