@@ -93,7 +93,7 @@ FAMILIES: tuple[Case, ...] = (
         Case("free_air", (name,))
         for name in (
             "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "temperature_dependent_friction",
-            "torque_ripple", "dress_pack", "torque_offset", "gravity_compensator", "time_lag", "payload",
+            "torque_ripple", "dress_pack", "torque_offset", "torque_gain", "gravity_compensator", "time_lag", "payload",
             "wrist_coupling_friction",
         )
     ),

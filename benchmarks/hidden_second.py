@@ -43,6 +43,7 @@ IN_CATALOGUE: Mapping[str, str] = {
     "dress_pack": "dress_pack",
     "gravity_compensator": "gravity_compensator",
     "torque_offset": "torque_offset",
+    "torque_gain": "torque_gain",
     "time_lag": "time_lag",
     "ambient_torque": "ambient_torque_offset",
     "backlash": "backlash",

@@ -14,7 +14,7 @@ __all__ = ["FRAMES", "FRICTIONS", "INERTIAL", "INERTIAS", "ROLES", "WEIGHTS", "R
 Role = Literal[
     "", "base_frame", "link_frame", "flange_frame", "target_point", "anchor_point", "mass", "first_moment",
     "inertia_tensor", "rotor_inertia", "compliance", "cross_compliance", "clearance", "dry_friction",
-    "viscous_damping", "friction", "arm_friction", "expansion", "angle_error",
+    "viscous_damping", "friction", "arm_friction", "expansion", "angle_error", "reading_gain",
 ]  # fmt: skip
 
 POINT = ("x", "y", "z")
@@ -39,6 +39,7 @@ ROLES: Mapping[Role, tuple[str, tuple[str, ...]]] = {
     "arm_friction": ("dry friction at the arm's side of a joint", ("",)),
     "angle_error": ("error of a joint's angle by a turn of its own", ("",)),
     "expansion": ("growth of a link by temperature", ("",)),
+    "reading_gain": ("error of a motor's torque reading, per torque that the arm asks of it", ("",)),
 }
 """Role → what it is, and its axes."""
 

@@ -38,6 +38,7 @@ SIGNALS: Mapping[str, Signal] = {
     "motor": Signal(("n",), "rad", "motor-shaft angles, T^-T q"),
     "direction": Signal(("n",), "", "direction of the last motion of each joint: +1, -1, 0 unknown", sided=True),
     "torque": Signal(("n",), "Nm", "joint torque that the drive exerts, static: +dV/dq"),
+    "inertia_torque": Signal(("n",), "Nm", "joint torque that the bodies described take in acceleration and at speed"),
     "flank": Signal(("n",), "", "side on which the transmitted torque presses, -1 to +1", sided=True),
     "joint_speed": Signal(("n",), "rad/s", "speed of the joints"),
     "motor_speed": Signal(("n",), "rad/s", "speed of the motors, T^-T w_joint"),

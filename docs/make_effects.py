@@ -30,7 +30,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Weight and loads": ("gravity", "base_inclination", "payload", "gravity_compensator", "dress_pack", "inertia"),
     "Friction": ("coulomb_friction", "viscous_friction", "stribeck_friction", "asymmetric_friction",
                  "load_dependent_friction", "temperature_dependent_friction", "wrist_coupling_friction"),
-    "Motors and their signals": ("torque_ripple", "torque_offset", "time_lag"),
+    "Motors and their signals": ("torque_ripple", "torque_offset", "torque_gain", "time_lag"),
     "Instrument and clamp": ("instrument_scale", "fixture_compliance"),
 }  # fmt: skip
 
@@ -142,6 +142,10 @@ SIGNATURE: dict[str, tuple[str, str]] = {
     "torque_offset": (
         "A constant error of one motor's torque, or one that follows a temperature.",
         "Asymmetric friction; the constant part of a dress pack; at an upright axis, a base that is not level.",
+    ),
+    "torque_gain": (
+        "An error of one motor's torque that is proportional to what the arm asks of it.",
+        "The masses, where no other motor bears the same links. One gain of all motors is a gain of all masses.",
     ),
     "time_lag": (
         "An error that is proportional to the rate of the torque.",

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -23,7 +24,7 @@ from clampid.chain.steady import Steady, parted
 from clampid.effect import SIGNALS, Effect, EffectError
 from clampid.slots import Layout, Slot
 
-__all__ = ["FOLLOWING", "Chain", "Deviations", "build_chain", "recorded"]
+__all__ = ["FOLLOWING", "Chain", "Deviations", "Gains", "build_chain", "recorded"]
 
 
 Array = npt.NDArray[np.float64]
@@ -55,6 +56,22 @@ class Deviations:
     by_torque: Array | None = None
 
 
+class Gains(NamedTuple):
+    """Gains of torque readings, each of one motor: with L what gain g scales, the deviation is g L.
+
+    Attributes
+    ----------
+    number, motor
+        ``(G,)``: number among the chain's slots, and the motor that is read, from 0.
+    loaded
+        ``(P,)``: which parameters are part of L, in which each has the derivative that it has at that motor alone.
+    """
+
+    number: npt.NDArray[np.int64]
+    motor: npt.NDArray[np.int64]
+    loaded: npt.NDArray[np.bool_]
+
+
 @dataclass(frozen=True)
 class Chain:
     """The compiled deviations of a set of slots in one stage.
@@ -67,6 +84,8 @@ class Chain:
         What each slot ``(P,)`` counts as at least where it decides on flanks: see :func:`least_deciding`.
     affine
         Whether the derivatives are the same at all parameters: no slot is a shape, no torque another effect's load.
+    scales
+        Numbers of the slots that scale what a motor reads (the role ``reading_gain``).
     steady
         In ``poses``: what is apart of ``function`` and ``yield_function``, because no search changes it; or None.
     flank_function
@@ -91,6 +110,43 @@ class Chain:
     lean: Array | None = None
     affine: bool = False
     steady: Steady | None = None
+    scales: tuple[int, ...] = ()
+
+    @cached_property
+    def gains(self) -> Gains:
+        """The gains of readings; none where the torque that they scale is not linear in parameters."""
+        none = Gains(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(len(self.slots), dtype=bool))
+        if not self.scales:
+            return none
+        number = np.array(self.scales, dtype=np.int64)
+        own = np.flatnonzero(np.isin(self.parameter, number))
+        motor = self.station[own] - self.offsets["motor_torque"].start
+        theta, row = self._symbols()
+        loads = ca.densify(self.function.function(theta, row)[1][own.tolist()])
+        loaded = np.zeros(len(self.slots), dtype=bool)
+        loaded[np.unique(ca.jacobian_sparsity(loads, theta).get_triplet()[1]).astype(np.int64)] = True
+        bends = self._bends(number)
+        if len(own) != len(number) or np.any(motor < 0) or np.any(loaded & bends) or loaded[number].any():
+            return none
+        if ca.depends_on(ca.densify(ca.jacobian(loads, theta)), theta):
+            return none
+        return Gains(self.parameter[own], motor, loaded)
+
+    def _symbols(self) -> tuple[Any, Any]:
+        """Parameters and signals of the chain's function as symbols."""
+        return ca.SX.sym("theta", len(self.slots)), ca.SX.sym("row", self.function.function.nnz_in(1))
+
+    def _bends(self, zero: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+        """Of which parameters ``(P,)`` derivatives depend on parameters, where those of some numbers are ``zero``."""
+        theta, row = self._symbols()
+        every = ca.SX(theta)
+        every[zero.tolist()] = 0.0
+        derivatives = self.function.function(every, row)[1]
+        depend = np.unique(ca.jacobian_sparsity(derivatives, theta).get_triplet()[0]).astype(np.int64)
+        out = np.zeros(len(self.slots), dtype=bool)
+        out[self.parameter[depend]] = True
+        out[zero] = False
+        return out
 
     @cached_property
     def moves_one(self) -> npt.NDArray[np.int64]:
@@ -106,13 +162,8 @@ class Chain:
 
     @cached_property
     def bends(self) -> npt.NDArray[np.bool_]:
-        """Of which parameters ``(P,)`` derivatives depend on parameters; in all others deviations are linear."""
-        theta, row = ca.SX.sym("theta", len(self.slots)), ca.SX.sym("row", self.function.function.nnz_in(1))
-        derivatives = self.function.function(theta, row)[1]
-        depend = np.unique(ca.jacobian_sparsity(derivatives, theta).get_triplet()[0]).astype(np.int64)
-        out = np.zeros(len(self.slots), dtype=bool)
-        out[self.parameter[depend]] = True
-        return out
+        """Of which parameters ``(P,)`` derivatives depend on parameters beside `gains`; all others are linear."""
+        return self._bends(self.gains.number)
 
     @cached_property
     def bent(self) -> Chain:
@@ -136,6 +187,7 @@ class Chain:
             parameter=np.searchsorted(own, self.parameter[kept]),
             least=self.least[own],
             affine=False,
+            scales=(),
         )
 
     @cached_property
@@ -288,6 +340,7 @@ def build_chain(
         None if yields is None else Rowwise(ca.Function("yields", inputs, [yields])),
         affine=affine,
         steady=steady,
+        scales=tuple(k for k, s in enumerate(slots) if effects[s.effect].by_name[s.parameter].role == "reading_gain"),
     )
 
 

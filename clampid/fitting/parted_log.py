@@ -6,14 +6,20 @@ searches of the same rows, and whitened once in each search. At each point only 
 
     r(theta) = r(theta_0) + v(theta_V) - v(theta_0V) - J_C (theta_C - theta_0C)
 
+A gain g of a motor's reading scales L, the torque that the arm asks of it, which is linear in C. At each point the
+columns of C that are part of L are those without gain times 1 + g, and the column of g is L itself.
+
 Source of the division: Golub & Pereyra, Separable nonlinear least squares: the variable projection method and its
 applications, Inverse Problems 19, 2003. Unlike there, no parameter is eliminated, so priors apply unchanged.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,11 +40,15 @@ class LinearPart:
     problem
         The problem that it was computed for.
     linear, other
-        Numbers of the parameters C and V, among all P + K.
+        Numbers of the parameters C and V, among all P + K; gains of readings are in neither.
     residual
-        Residual at C = 0 less that of V alone ``(N, n)``, Nm.
+        Residual at C = 0 without gains, less that of V alone ``(N, n)``, Nm.
     columns
-        Derivative of the prediction by C ``(N, n, C)``, Nm per SI unit.
+        Derivative of the prediction by C without gains ``(N, n, C)``, Nm per SI unit.
+    loaded
+        Numbers of the columns that are part of the torque that gains scale.
+    load
+        That torque at C = 0 ``(N, n)``, Nm; zero of motors without gain.
     """
 
     problem: FitProblem
@@ -46,18 +56,27 @@ class LinearPart:
     other: Integers
     residual: Array
     columns: Array
+    loaded: Integers
+    load: Array
 
     @staticmethod
     def of(problem: FitProblem, at: Array) -> LinearPart:
         """The linear part of a problem of the stage ``free_air``, computed at any parameters ``at`` ``(P + K,)``."""
-        bends = np.r_[problem.chain.bends, np.zeros(problem.offsets, dtype=bool)]
-        linear, other = np.flatnonzero(~bends), np.flatnonzero(bends)
+        chain, kinds = problem.chain, np.zeros(len(at), dtype=int)
+        number, motor, loaded = chain.gains
+        kinds[: len(chain.slots)][chain.bends], kinds[number] = 1, 2
+        linear, other = np.flatnonzero(kinds == 0), np.flatnonzero(kinds == 1)
+        at = np.where(kinds == 2, 0.0, at)
         residual, jacobian = problem.residual(at)
-        columns = jacobian if not len(other) else jacobian[:, :, linear]
+        columns = jacobian if len(linear) == len(at) else jacobian[:, :, linear]
         left = residual + columns @ at[linear]
         if len(other):
             left -= _nonlinear(problem).error(np.r_[at[other], np.zeros(problem.offsets)])
-        return LinearPart(problem, linear, other, left, columns)
+        loads = np.searchsorted(linear, np.flatnonzero(loaded))
+        part = LinearPart(problem, linear, other, left, columns, loads, np.zeros_like(left))
+        for k, c in zip(number, motor, strict=True):
+            part.load[:, c] = jacobian[:, c, k] - columns[:, c, part.loaded] @ at[linear[part.loaded]]
+        return part
 
     def serves(self, problem: FitProblem) -> bool:
         """Whether ``problem`` has the same effects and rows; which of the rows are used may differ."""
@@ -67,13 +86,35 @@ class LinearPart:
 
     def left(self, theta: Array) -> Array:
         """Residual ``(N, n)``, Nm, at parameters ``theta`` ``(P + K,)``, less that of V alone."""
-        return np.asarray(self.residual - self.columns @ theta[self.linear])
+        left = self.residual - self.columns @ theta[self.linear]
+        for k, c in zip(*self.problem.chain.gains[:2], strict=True):
+            left[:, c] -= theta[k] * self.scaled(theta, c)
+        return np.asarray(left)
+
+    def scaled(self, theta: Array, motor: int) -> Array:
+        """The torque that a gain of this motor scales ``(N,)``, Nm."""
+        return np.asarray(self.load[:, motor] + self.columns[:, motor, self.loaded] @ theta[self.linear[self.loaded]])
 
 
 def _nonlinear(problem: FitProblem) -> FitProblem:
     """The problem with the parameters V only."""
     chain = problem.chain.bent
     return replace(problem, slots=chain.slots, chain=chain)
+
+
+class _Channel(NamedTuple):
+    """One motor's whitened rows at a point.
+
+    ``rows``: which they are. ``scale`` ``(C,)`` and ``linear`` ``(m, C)``: their columns of C are ``linear * scale``.
+    ``number`` and ``own``: the other parameters that move them, and their columns.
+    """
+
+    rows: slice
+    scale: Array
+    linear: Array
+    normal: Array
+    number: Integers
+    own: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +130,11 @@ class PartedLog:
     part
         The linear part of the model.
     start
-        Initial parameters ``(P + K,)``, SI.
+        Initial parameters ``(P + K,)``, SI, gains zero.
     white
-        At the initial parameters, whitened: the residual less that of V alone ``(M,)``, the columns of C ``(M, C)``.
+        There, whitened: the residual less that of V alone ``(M,)``, the columns of C ``(M, C)``.
+    load
+        There, whitened: the torque that gains scale ``(M,)``.
     """
 
     nonlinear: FitProblem
@@ -99,21 +142,47 @@ class PartedLog:
     part: LinearPart
     start: Array
     white: Whitened
+    load: Array
 
     @staticmethod
     def of(problem: FitProblem, noise: Noise, start: Array, part: LinearPart | None = None) -> PartedLog:
         """The log of a problem of the stage ``free_air`` with linear parameters; ``part`` is computed if not given."""
         part = part or LinearPart.of(problem, start)
+        start = start.copy()
+        start[problem.chain.gains.number] = 0.0
         white = noise.whiten(problem.rows, part.left(start), part.columns)
-        return PartedLog(_nonlinear(problem), noise, part, start, white)
+        load = np.zeros_like(part.load)
+        for c in problem.chain.gains.motor:
+            load[:, c] = part.scaled(start, c)
+        scaled = noise.whiten(problem.rows, load, np.zeros((*load.shape, 0))).residual if np.any(load) else load[:0]
+        return PartedLog(_nonlinear(problem), noise, part, start, white, scaled)
+
+    @cached_property
+    def channels(self) -> list[tuple[int, slice, Array]]:
+        """Motor, rows among the whitened ones, and normal matrix ``(C, C)`` of its columns of C without gain."""
+        edges = np.flatnonzero(np.diff(self.white.channel, prepend=-1, append=-1))
+        found = [(int(self.white.channel[a]), slice(a, b)) for a, b in pairwise(edges.tolist())]
+        return [(c, rows, self.white.jacobian[rows].T @ self.white.jacobian[rows]) for c, rows in found]
 
     def at(self, theta: Array) -> PartedPoint:
         """The log at parameters ``theta`` ``(P + K,)``."""
         step = (theta - self.start)[self.part.linear]
-        own, derivative = self.nonlinear.derivative(np.r_[theta[self.part.other], np.zeros(self.nonlinear.offsets)], 0)
+        left, rows = self.white.residual - self.white.jacobian @ step, self.part.problem.rows
+        own, derivative = np.zeros_like(rows.measured), np.zeros((*rows.measured.shape, 0))
+        if len(self.part.other):
+            own, derivative = self.nonlinear.derivative(
+                np.r_[theta[self.part.other], np.zeros(self.nonlinear.offsets)], 0
+            )
         white = self.noise.whiten(self.nonlinear.rows, own, derivative)
-        left = self.white.residual - self.white.jacobian @ step + white.residual
-        columns = _Columns(self, white.jacobian)
+        left += white.residual
+        load = self.load
+        if len(load):
+            of_load = np.zeros_like(step)  # a product with all columns takes less time than to gather some
+            of_load[self.part.loaded] = step[self.part.loaded]
+            load = load + self.white.jacobian @ of_load
+        columns = _Columns(self, white.jacobian, theta, load)
+        for channel, k in columns.gains:
+            left[channel] -= theta[k] * load[channel]
         there = Whitened(left, columns, self.white.entry, self.white.channel)
         return PartedPoint(theta, own, there, columns)
 
@@ -122,26 +191,56 @@ class PartedLog:
 class _Columns:
     """The whitened Jacobian of a point, computed when used; see :class:`clampid.fitting.noise.Late`.
 
-    ``own`` ``(M, V)``: whitened columns of the parameters V.
+    ``own`` ``(M, V)``: whitened columns of the parameters V. ``load`` ``(M,)``: the whitened torque that gains scale.
     """
 
     log: PartedLog
     own: Array
+    theta: Array
+    load: Array
+
+    @property
+    def gains(self) -> list[tuple[slice, int]]:
+        """Of each gain the whitened rows that it scales, and its number."""
+        rows = {c: rows for c, rows, _ in self.log.channels} if len(self.load) else {}
+        number, motor, _ = self.log.part.problem.chain.gains
+        return [(rows[c], k) for k, c in zip(number.tolist(), motor.tolist(), strict=True) if c in rows]
+
+    def channels(self) -> Iterator[_Channel]:
+        """The whitened rows motor by motor."""
+        part, gains = self.log.part, {rows.start: k for rows, k in self.gains}
+        for _, rows, normal in self.log.channels:
+            scale, number, own = np.ones(len(part.linear)), part.other, self.own[rows]
+            if (k := gains.get(rows.start)) is not None:
+                scale[part.loaded] += self.theta[k]
+                number, own = np.r_[number, k], np.c_[own, self.load[rows]]
+            yield _Channel(rows, scale, self.log.white.jacobian[rows], normal, number, own)
 
     def dense(self) -> Array:
         """The whole Jacobian J ``(M, P + K)``."""
-        out = np.empty((len(self.own), len(self.log.start)))
-        put_columns(out, self.log.part.linear, self.log.white.jacobian)
-        put_columns(out, self.log.part.other, self.own)
+        out = np.zeros((len(self.own), len(self.log.start)))
+        for channel in self.channels():
+            put_columns(out[channel.rows], self.log.part.linear, channel.linear * channel.scale)
+            put_columns(out[channel.rows], channel.number, channel.own)
         return out
 
     def normal(self) -> Array:
         """J'J ``(P + K, P + K)``."""
-        C, V = self.log.part.linear, self.log.part.other
-        out = np.empty((len(self.log.start), len(self.log.start)))
-        across = self.log.white.jacobian.T @ self.own
-        out[np.ix_(C, C)], out[np.ix_(V, V)] = self.log.white.normal, self.own.T @ self.own
-        out[np.ix_(C, V)], out[np.ix_(V, C)] = across, across.T
+        C, out = self.log.part.linear, np.zeros((len(self.log.start), len(self.log.start)))
+        for _, scale, linear, normal, V, own in self.channels():
+            across = scale[:, None] * (linear.T @ own)
+            out[np.ix_(C, C)] += normal * np.outer(scale, scale)
+            out[np.ix_(V, V)] += own.T @ own
+            out[np.ix_(C, V)] += across
+            out[np.ix_(V, C)] += across.T
+        return out
+
+    def gradient(self, residual: Array) -> Array:
+        """J'r ``(P + K,)`` of a whitened residual r ``(M,)``."""
+        out = np.zeros(len(self.log.start))
+        for rows, scale, linear, _, V, own in self.channels():
+            out[self.log.part.linear] += scale * (linear.T @ residual[rows])
+            out[V] += own.T @ residual[rows]
         return out
 
 
@@ -183,10 +282,7 @@ class PartedPoint:
 
     def normal(self) -> tuple[Array, Array]:
         """Normal matrix ``(P + K, P + K)`` and downhill gradient ``(P + K,)``."""
-        gradient, log = np.empty(len(self.theta)), self.columns.log
-        gradient[log.part.linear] = log.white.jacobian.T @ self.white.residual
-        gradient[log.part.other] = self.columns.own.T @ self.white.residual
-        return self.white.normal, gradient
+        return self.white.normal, self.columns.gradient(self.white.residual)
 
     def covariance(self, precision: Array) -> Array:
         """Covariance ``(P + K, P + K)`` of a fit with its minimum here; ``precision`` is that of the prior."""

@@ -214,7 +214,9 @@ def torques(session: Session, log: Log, actives: Sequence[Active]) -> Array:
         motor_temps_C=robot.climate.motors(log.time_s, log.work_s),
         ambient_C=robot.climate.ambient(log.time_s),
     )
-    tau = tau + sum((a.torque(state) for a in actives if a.torque), np.zeros_like(tau))
+    tau = np.asarray(tau) + sum((a.torque(state) for a in actives if a.torque), np.zeros_like(tau))
+    for joint, factor in (a.gain for a in actives):
+        tau[:, joint] *= factor
     lag = sum(a.lag_s for a in actives)
     return _late(tau, log, lag) if lag else np.asarray(tau)
 

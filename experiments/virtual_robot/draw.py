@@ -100,6 +100,7 @@ def draw_plant(robot: RobotDescription, rng: np.random.Generator) -> Plant:
         thermal=zeros,
         ripple=np.zeros((n, 2 * RIPPLES)),
         offset=zeros,
+        gain=zeros,
         lag=0.0,
     )
     return Plant(

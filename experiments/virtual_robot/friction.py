@@ -61,7 +61,7 @@ def motor_torque(
     temperature: Array,
     arm: bool,
 ) -> Array:
-    """Return the torques at the motor shafts without noise, Nm, (N, n).
+    """Return the torques that the drives report of the motor shafts, without noise, Nm, (N, n).
 
     Parameters
     ----------
@@ -82,4 +82,5 @@ def motor_torque(
     rubbing = f.load * np.abs(tau_joint) + (f.arm if arm else 0.0)
     at_joint = tau_joint + rubbing * gear_state + ripple(f, motion.angle)
     shaft = at_joint @ plant.drive.transmission.T + plant.drive.rotor * motion.acceleration
-    return np.asarray(shaft + motor_friction(f, motion.speed, state, temperature) + f.offset, dtype=float)
+    taken = shaft + motor_friction(f, motion.speed, state, temperature)
+    return np.asarray((1.0 + f.gain) * taken + f.offset, dtype=float)

@@ -97,6 +97,7 @@ class Friction:
     thermal: Array  # (n,) 1/K
     ripple: Array  # (n, 2k) Nm at the joint: sin m, cos m, sin 2m, cos 2m, … of the motor's angle
     offset: Array  # (n,) Nm at the motor
+    gain: Array  # (n,) error of the torque that a drive reports, per torque
     lag: float  # s by which torques are logged late
 
 

@@ -159,14 +159,26 @@ def test_a_linear_log_is_searched_from_its_first_derivative(few_rows: dict[Stage
     np.testing.assert_allclose(found.whitened.normal, there.matrix, atol=1e-9 * there.matrix.max())
 
 
-@pytest.mark.parametrize("shaped", ["stribeck_friction", "load_dependent_friction"])
-def test_a_log_by_parts_is_the_whole_log(tiny: Campaign, shaped: str):
+@pytest.mark.parametrize(
+    "further",
+    [
+        ("stribeck_friction",),
+        ("load_dependent_friction",),
+        ("torque_gain",),
+        ("torque_gain", "stribeck_friction", "torque_offset"),
+        ("torque_gain", "load_dependent_friction", "inertia"),
+    ],
+)
+def test_a_log_by_parts_is_the_whole_log(tiny: Campaign, further: tuple[str, ...]):
     """Residual, gradient, products and Jacobian at another point are those of the whole derivative made there."""
     known, layout = catalogue(), layout_of([tiny])
-    names = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction", shaped)
+    names = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction", *further)
     rows = stage_rows([tiny], layout, "free_air")
     trial = fit_problem(rows, known, active_slots(rows, known, [Term(name) for name in names]))
-    assert 0 < trial.chain.bends.sum() < len(trial.slots)
+    gains = "torque_gain" in further and "load_dependent_friction" not in further  # else they scale no linear torque
+    assert len(trial.chain.gains.number) == (layout.joints if gains else 0)
+    assert (0 if gains else 1) <= trial.chain.bends.sum() < len(trial.slots)
+    assert trial.chain.bends.any() == (set(further) != {"torque_gain"})
     rng, start = np.random.default_rng(1), trial.start()
     noise = learn_noise(rows, trial.residual(start)[0])
     away = start + 0.01 * trial.sizes() * rng.standard_normal(len(start))

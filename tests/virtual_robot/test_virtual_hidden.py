@@ -16,7 +16,7 @@ MUST = {
     "fixture_compliance", "base_tilt", "torque_offset", "instrument_scale", "bearing_tilt", "link_bending",
     "coupling_ratio_error", "nonlinear_stiffness", "hysteresis", "asymmetric_friction", "load_dependent_friction",
     "temperature_dependent_friction", "torque_ripple", "dress_pack", "gravity_compensator", "cross_coupled_stiffness",
-    "time_lag", "presliding_friction",
+    "time_lag", "presliding_friction", "torque_gain",
 }  # fmt: skip
 
 

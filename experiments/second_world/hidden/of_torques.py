@@ -150,6 +150,12 @@ def _offset(s: Setting) -> Active:
     return Active((Parameter("offset", size, "Nm"),), torque=torque_law(j, lambda state: np.full(len(state.q), size)))
 
 
+def _gain(s: Setting) -> Active:
+    """A drive whose torque constant is not that of its data sheet: all that it reports is too large."""
+    error = 0.04 * s.magnitude
+    return Active((Parameter("gain_error", error, ""),), gain=(s.index(), 1.0 + error))
+
+
 def _lag(s: Setting) -> Active:
     lag_s = 0.008 * s.magnitude
     return Active((Parameter("lag", lag_s, "s"),), lag_s=lag_s)
@@ -182,5 +188,6 @@ EFFECTS = (
     HiddenEffect("dress_pack", "dress_pack", _AIR, joints(5, 4, 6), _dress_pack, _at("q")),
     HiddenEffect("gravity_compensator", "gravity_compensator", _AIR, joints(2), _compensator, _at("q")),
     HiddenEffect("torque_offset", "torque_offset", _AIR, everywhere(3), _offset, lambda w: ()),
+    HiddenEffect("torque_gain", "torque_gain", _AIR, joints(3, 2, 5), _gain, _at("q tau")),
     HiddenEffect("time_lag", "time_lag", _AIR, fixed("all"), _lag, lambda w: ("qd", "qdd")),
 )
