@@ -118,16 +118,7 @@ def test_the_floor_has_no_part_of_the_model_in_it(log: Campaign) -> None:
     "way",
     [
         pytest.param("identify with offsets", marks=pytest.mark.slow),
-        pytest.param(
-            "auto",
-            marks=[
-                pytest.mark.study,
-                pytest.mark.xfail(
-                    strict=True,
-                    reason="joint 5 has 0.960 with dry friction that builds up over a travel, 0.965 without",
-                ),
-            ],
-        ),
+        pytest.param("auto", marks=pytest.mark.study),
     ],
 )
 def test_dynamics_of_a_real_arm(way: str) -> None:
