@@ -154,7 +154,7 @@ class Kind:
 
 _FRICTION: dict[str, tuple[str, str, Callable[[Plant, int], float], tuple[str, ...], Places]] = {
     "torque_offset": ("offset", "Nm", lambda p, i: 2.0 * float(p.instrument.torque_sigma[i]), TORQUES, _any),
-    "torque_gain": ("gain", "1", lambda p, i: 0.03, TORQUES, _loaded),
+    "torque_gain": ("gain", "1", lambda p, i: 0.03, TORQUES, _inner_loaded),
     "asymmetric_friction": ("asymmetry", "Nm", lambda p, i: 0.3 * float(p.friction.coulomb[i]), TORQUES, _any),
     "load_dependent_friction": ("load", "1", lambda p, i: 0.06, TORQUES, _loaded),
     "temperature_dependent_friction": ("thermal", "1_K", lambda p, i: 0.04, TORQUES, _any),

@@ -39,6 +39,7 @@ FAMILIES = [
     "coupling_ratio_error",
     "thermal_expansion",
     "instrument_scale",
+    "torque_gain",
     "time_lag",
 ]
 

@@ -45,6 +45,7 @@ FAINT = {
     "nonlinear_stiffness": 0.2,
     "soft_near_zero": 0.2,
     "load_dependent_friction": 0.2,
+    "torque_gain": 0.1,
     "temperature_dependent_friction": 0.05,
     "torque_ripple": 0.1,
     "gravity_compensator": 0.0,
