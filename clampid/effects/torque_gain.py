@@ -4,8 +4,9 @@ It scales what the arm's weight and inertia ask of the motor. The motor's fricti
 known beforehand, so that its parameters hold that part.
 
 One motor's gain differs from the others' where links load several motors: the weight of link 3 is in the torques of
-motors 2 and 3. A gain that all motors have in common is a gain of all masses, known only as well as these. Source: VIM
-4.27, instrumental measurement uncertainty, and 4.12, sensitivity of a measuring system.
+motors 2 and 3. A gain that all motors have in common is a gain of all masses, known only as well as these.
+
+Source: VIM 4.12, sensitivity of a measuring system, and 4.20, instrumental bias.
 """
 
 from __future__ import annotations

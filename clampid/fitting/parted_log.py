@@ -103,18 +103,16 @@ def _nonlinear(problem: FitProblem) -> FitProblem:
 
 
 class _Channel(NamedTuple):
-    """One motor's whitened rows at a point.
+    """One motor's whitened rows.
 
-    ``rows``: which they are. ``scale`` ``(C,)`` and ``linear`` ``(m, C)``: their columns of C are ``linear * scale``.
-    ``number`` and ``own``: the other parameters that move them, and their columns.
+    ``rows``: which they are. ``linear`` ``(m, C)`` and ``normal`` ``(C, C)``: their columns of C without gain, and the
+    product of these. ``gain``: number of the motor's gain among all parameters, or None.
     """
 
     rows: slice
-    scale: Array
     linear: Array
     normal: Array
-    number: Integers
-    own: Array
+    gain: int | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +132,7 @@ class PartedLog:
     white
         There, whitened: the residual less that of V alone ``(M,)``, the columns of C ``(M, C)``.
     load
-        There, whitened: the torque that gains scale ``(M,)``.
+        There, whitened: the torque that gains scale ``(M,)``; empty without gains.
     """
 
     nonlinear: FitProblem
@@ -151,38 +149,45 @@ class PartedLog:
         start = start.copy()
         start[problem.chain.gains.number] = 0.0
         white = noise.whiten(problem.rows, part.left(start), part.columns)
-        load = np.zeros_like(part.load)
-        for c in problem.chain.gains.motor:
-            load[:, c] = part.scaled(start, c)
-        scaled = noise.whiten(problem.rows, load, np.zeros((*load.shape, 0))).residual if np.any(load) else load[:0]
-        return PartedLog(_nonlinear(problem), noise, part, start, white, scaled)
+        load = np.zeros(0)
+        if len(problem.chain.gains.motor):
+            torque = np.zeros_like(part.load)
+            for c in problem.chain.gains.motor:
+                torque[:, c] = part.scaled(start, c)
+            load = noise.whiten(problem.rows, torque, np.zeros((*torque.shape, 0))).residual
+        return PartedLog(_nonlinear(problem), noise, part, start, white, load)
 
     @cached_property
-    def channels(self) -> list[tuple[int, slice, Array]]:
-        """Motor, rows among the whitened ones, and normal matrix ``(C, C)`` of its columns of C without gain."""
+    def channels(self) -> list[_Channel]:
+        """The whitened rows motor by motor."""
+        number, motor, _ = self.part.problem.chain.gains
+        gains = dict(zip(motor.tolist(), number.tolist(), strict=True))
         edges = np.flatnonzero(np.diff(self.white.channel, prepend=-1, append=-1))
-        found = [(int(self.white.channel[a]), slice(a, b)) for a, b in pairwise(edges.tolist())]
-        return [(c, rows, self.white.jacobian[rows].T @ self.white.jacobian[rows]) for c, rows in found]
+        found = []
+        for a, b in pairwise(edges.tolist()):
+            own = self.white.jacobian[a:b]
+            found.append(_Channel(slice(a, b), own, own.T @ own, gains.get(int(self.white.channel[a]))))
+        return found
 
     def at(self, theta: Array) -> PartedPoint:
         """The log at parameters ``theta`` ``(P + K,)``."""
         step = (theta - self.start)[self.part.linear]
-        left, rows = self.white.residual - self.white.jacobian @ step, self.part.problem.rows
-        own, derivative = np.zeros_like(rows.measured), np.zeros((*rows.measured.shape, 0))
+        left, load = self.white.residual - self.white.jacobian @ step, self.load
+        own, white = np.zeros_like(self.part.residual), np.zeros((len(left), 0))
         if len(self.part.other):
-            own, derivative = self.nonlinear.derivative(
-                np.r_[theta[self.part.other], np.zeros(self.nonlinear.offsets)], 0
-            )
-        white = self.noise.whiten(self.nonlinear.rows, own, derivative)
-        left += white.residual
-        load = self.load
+            of_v = np.r_[theta[self.part.other], np.zeros(self.nonlinear.offsets)]
+            own, derivative = self.nonlinear.derivative(of_v, 0)
+            found = self.noise.whiten(self.nonlinear.rows, own, derivative)
+            left += found.residual
+            white = found.jacobian
         if len(load):
             of_load = np.zeros_like(step)  # a product with all columns takes less time than to gather some
             of_load[self.part.loaded] = step[self.part.loaded]
             load = load + self.white.jacobian @ of_load
-        columns = _Columns(self, white.jacobian, theta, load)
-        for channel, k in columns.gains:
-            left[channel] -= theta[k] * load[channel]
+        for channel in self.channels:
+            if channel.gain is not None:
+                left[channel.rows] -= theta[channel.gain] * load[channel.rows]
+        columns = _Columns(self, white, theta, load)
         there = Whitened(left, columns, self.white.entry, self.white.channel)
         return PartedPoint(theta, own, there, columns)
 
@@ -199,37 +204,31 @@ class _Columns:
     theta: Array
     load: Array
 
-    @property
-    def gains(self) -> list[tuple[slice, int]]:
-        """Of each gain the whitened rows that it scales, and its number."""
-        rows = {c: rows for c, rows, _ in self.log.channels} if len(self.load) else {}
-        number, motor, _ = self.log.part.problem.chain.gains
-        return [(rows[c], k) for k, c in zip(number.tolist(), motor.tolist(), strict=True) if c in rows]
-
-    def channels(self) -> Iterator[_Channel]:
-        """The whitened rows motor by motor."""
-        part, gains = self.log.part, {rows.start: k for rows, k in self.gains}
-        for _, rows, normal in self.log.channels:
-            scale, number, own = np.ones(len(part.linear)), part.other, self.own[rows]
-            if (k := gains.get(rows.start)) is not None:
-                scale[part.loaded] += self.theta[k]
-                number, own = np.r_[number, k], np.c_[own, self.load[rows]]
-            yield _Channel(rows, scale, self.log.white.jacobian[rows], normal, number, own)
+    def by_channel(self) -> Iterator[tuple[_Channel, Array, Integers, Array]]:
+        """Motor by motor: its rows, factors ``(C,)`` of its columns of C, its other parameters and their columns."""
+        part = self.log.part
+        for channel in self.log.channels:
+            scale, number, own = np.ones(len(part.linear)), part.other, self.own[channel.rows]
+            if channel.gain is not None:
+                scale[part.loaded] += self.theta[channel.gain]
+                number, own = np.r_[number, channel.gain], np.c_[own, self.load[channel.rows]]
+            yield channel, scale, number, own
 
     def dense(self) -> Array:
         """The whole Jacobian J ``(M, P + K)``."""
         out = np.zeros((len(self.own), len(self.log.start)))
-        for channel in self.channels():
-            put_columns(out[channel.rows], self.log.part.linear, channel.linear * channel.scale)
-            put_columns(out[channel.rows], channel.number, channel.own)
+        for channel, scale, number, own in self.by_channel():
+            linear = channel.linear if channel.gain is None else channel.linear * scale
+            put_columns(out[channel.rows], self.log.part.linear, linear)
+            put_columns(out[channel.rows], number, own)
         return out
 
     def normal(self) -> Array:
         """J'J ``(P + K, P + K)``."""
         C, out = self.log.part.linear, np.zeros((len(self.log.start), len(self.log.start)))
-        for _, scale, linear, normal, V, own in self.channels():
-            across = scale[:, None] * (linear.T @ own)
-            out[np.ix_(C, C)] += normal * np.outer(scale, scale)
+        for channel, scale, V, own in self.by_channel():
+            across = scale[:, None] * (channel.linear.T @ own)
+            out[np.ix_(C, C)] += channel.normal * np.outer(scale, scale)
             out[np.ix_(V, V)] += own.T @ own
             out[np.ix_(C, V)] += across
             out[np.ix_(V, C)] += across.T
@@ -238,9 +237,9 @@ class _Columns:
     def gradient(self, residual: Array) -> Array:
         """J'r ``(P + K,)`` of a whitened residual r ``(M,)``."""
         out = np.zeros(len(self.log.start))
-        for rows, scale, linear, _, V, own in self.channels():
-            out[self.log.part.linear] += scale * (linear.T @ residual[rows])
-            out[V] += own.T @ residual[rows]
+        for channel, scale, V, own in self.by_channel():
+            out[self.log.part.linear] += scale * (channel.linear.T @ residual[channel.rows])
+            out[V] += own.T @ residual[channel.rows]
         return out
 
 

@@ -215,7 +215,7 @@ def torques(session: Session, log: Log, actives: Sequence[Active]) -> Array:
         ambient_C=robot.climate.ambient(log.time_s),
     )
     tau = np.asarray(tau) + sum((a.torque(state) for a in actives if a.torque), np.zeros_like(tau))
-    for joint, factor in (a.gain for a in actives):
+    for joint, factor in (a.gain for a in actives if a.gain):
         tau[:, joint] *= factor
     lag = sum(a.lag_s for a in actives)
     return _late(tau, log, lag) if lag else np.asarray(tau)

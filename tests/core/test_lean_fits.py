@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
@@ -159,6 +159,18 @@ def test_a_linear_log_is_searched_from_its_first_derivative(few_rows: dict[Stage
     np.testing.assert_allclose(found.whitened.normal, there.matrix, atol=1e-9 * there.matrix.max())
 
 
+def _is_the_whole_log(trial: FitProblem) -> None:
+    """Compare a log by parts with the whole derivative, away from where the parts were computed."""
+    rng, start = np.random.default_rng(1), trial.start()
+    noise = learn_noise(trial.rows, trial.residual(start)[0])
+    away = start + 0.01 * trial.sizes() * rng.standard_normal(len(start))
+    parted, whole = PartedLog.of(trial, noise, start).at(away), stage_point(trial, noise, away)
+    np.testing.assert_allclose(parted.residual, whole.residual, atol=1e-11 * np.abs(whole.residual).max())
+    for mine, theirs in zip(parted.normal(), whole.normal(), strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=1e-11 * np.abs(theirs).max())
+    np.testing.assert_allclose(parted.white.jacobian, whole.white.jacobian, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     "further",
     [
@@ -179,11 +191,14 @@ def test_a_log_by_parts_is_the_whole_log(tiny: Campaign, further: tuple[str, ...
     assert len(trial.chain.gains.number) == (layout.joints if gains else 0)
     assert (0 if gains else 1) <= trial.chain.bends.sum() < len(trial.slots)
     assert trial.chain.bends.any() == (set(further) != {"torque_gain"})
-    rng, start = np.random.default_rng(1), trial.start()
-    noise = learn_noise(rows, trial.residual(start)[0])
-    away = start + 0.01 * trial.sizes() * rng.standard_normal(len(start))
-    parted, whole = PartedLog.of(trial, noise, start).at(away), stage_point(trial, noise, away)
-    np.testing.assert_allclose(parted.residual, whole.residual, atol=1e-11 * np.abs(whole.residual).max())
-    for mine, theirs in zip(parted.normal(), whole.normal(), strict=True):
-        np.testing.assert_allclose(mine, theirs, atol=1e-11 * np.abs(theirs).max())
-    np.testing.assert_allclose(parted.white.jacobian, whole.white.jacobian, atol=1e-9)
+    _is_the_whole_log(trial)
+
+
+def test_a_gain_counts_where_nothing_is_known_to_weigh_at_the_start(tiny: Campaign):
+    """The load that it scales is zero at the first point, and not at the others."""
+    known, rows = catalogue(), stage_rows([tiny], layout_of([tiny]), "free_air")
+    none = {name: np.zeros_like(rows.signals[name]) for name in ("gravity_torque", "inertia_torque")}
+    rows = replace(rows, signals={**rows.signals, **none})
+    names = ("gravity", "coulomb_friction", "torque_gain")
+    trial = fit_problem(rows, known, active_slots(rows, known, [Term(name) for name in names]))
+    _is_the_whole_log(trial)

@@ -44,7 +44,7 @@ class Active:
     torque: TorqueLaw | None = None
     alter: Callable[[Robot], Robot] | None = None  # the robot differs from what its maker or its user declares
     lag_s: float = 0.0  # torques are logged that much late
-    gain: tuple[int, float] = (0, 1.0)  # of a joint's index, by which its logged torques are multiplied
+    gain: tuple[int, float] | None = None  # index of a joint, and the factor of its logged torques
 
 
 @dataclass(frozen=True)
