@@ -87,6 +87,6 @@ def _without(bench: Bench, steps: Sequence[Confirmed], dropped: Confirmed, last:
         out.append(replace(step, tried=tried, base=base, before=held_out))
         base, held_out = fitted, tried.held_out
     reason = f"it does not lower the held-out error once {last.best.candidate.label} is in the model"
-    gone = dropped.tried.refusal(bench.effects, dropped.before.rms, reason)
+    gone = replace(dropped.tried, before=dropped.before.rms).refusal(bench.effects, reason)
     refused = (*dropped.refused, *steps[-1].refused, gone)
     return [*out, replace(steps[-1], tried=last, base=base, before=held_out, refused=refused)]

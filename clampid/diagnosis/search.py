@@ -94,20 +94,21 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     dropped: set[str] = set()
     rest: Left | None = None
     wander = 0.0
+    earlier: dict[str, Tried] = {}
     for number in range(1, SEARCH_ROUNDS + 1):
-        tried, others = bench.decided(scores, fitted, held_out)  # a ranking is valid for one step
+        tried, others = bench.decided(scores, fitted, held_out, earlier)  # a ranking is valid for one step
         finer = bench.folds or folds_of(fitted.estimate, scores.space, _on_trial(scores, others), effects)
         if finer is not None and finer is not bench.folds:
             return finer
-        refused = [t.refusal(effects, held_out.rms) for t in others]
+        refused = [t.refusal(effects) for t in others]
         if isinstance(tried, Undecided) and not rows.kind.points and tried.alike(effects, bench.elsewhere):
             taken.append(bench.taken(tried, fitted, held_out, len(steps)))
             fitted, held_out = taken[-1].fitted, taken[-1].held_out
         else:
             if isinstance(tried, Undecided):
-                given = bench.confirm_given_ambiguity(tried, fitted, held_out, number)
+                given = bench.confirm_given_ambiguity(tried, fitted, held_out, number, earlier)
                 tried, undecided, rest, wander = given.found, given.groups, given.rest, max(wander, given.wander)
-                refused += [t.refusal(effects, held_out.rms) for t in given.refused]
+                refused += [t.refusal(effects) for t in given.refused]
             if tried is None:
                 break
             steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held_out, tuple(refused))], dropped)

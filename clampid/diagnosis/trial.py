@@ -119,24 +119,36 @@ class Bench:
 
     @substep("trying the best candidates", ROUND_SHARE)
     def decided(
-        self, scores: CandidateScores, fitted: FittedStage, held_out: HeldOut
+        self, scores: CandidateScores, fitted: FittedStage, held_out: HeldOut, earlier: dict[str, Tried]
     ) -> tuple[Tried | Undecided | None, list[Tried]]:
         """The first candidate that is confirmed, or cannot be distinguished from others, and those refused before it.
 
         None instead of a candidate if none is significant, or too many significant ones were refused.
+
+        Parameters
+        ----------
+        earlier
+            Candidates that did not lower the held-out error of earlier fits, by label; those of this fit are added.
         """
         refused: list[Tried] = []
         while len(refused) < MOST_TRIALS:
             best = scores.best({t.best.candidate.label for t in refused})
             if best is None or scores.only_stands_in(best):
                 break
+            label = best.candidate.label
+            if label in earlier and earlier[label].holds_for(best):
+                refused.append(replace(earlier[label], best=best, scores=scores.remembered))
+                continue
             found = self._tried(best, scores, fitted, held_out, refused)
             found = replace(found, scores=scores.remembered)
             if isinstance(found, Undecided):
                 return found, refused
+            found = replace(found, before=held_out.rms)
             if not found.reason:
                 return replace(found, confusable=confusable_with(scores.named, found.best)), refused
             refused.append(found)
+            if found.reason == NO_FALL:
+                earlier[label] = found.remembered
         return None, refused
 
     def _tried(
@@ -283,7 +295,12 @@ class Bench:
         return _Along(s, trial, kept, self.held_out(trial))
 
     def confirm_given_ambiguity(
-        self, undecided: Undecided, fitted: FittedStage, held_out: HeldOut, number: int
+        self,
+        undecided: Undecided,
+        fitted: FittedStage,
+        held_out: HeldOut,
+        number: int,
+        earlier: dict[str, Tried],
     ) -> GivenAmbiguity:
         """Effects that are missing whichever of some indistinguishable candidates is the true one.
 
@@ -295,6 +312,8 @@ class Bench:
         ----------
         held_out
             Errors of the fit without any of them.
+        earlier
+            As of :meth:`decided`.
         """
         groups, whole, wander = [undecided], fitted, 0.0
         while len(groups) < GROUPS:
@@ -302,7 +321,7 @@ class Bench:
             scores = self.scores(whole, 2 * number - 1, granted)
             wander = max(wander, scores.wander)
             left = Left(whole.estimate, scores, self.held_out(whole), granted)
-            found, _ = self.decided(scores, whole, left.held_out)
+            found, _ = self.decided(scores, whole, left.held_out, earlier)
             if found is None:
                 return GivenAmbiguity(None, groups, [], left, wander)
             if isinstance(found, Tried):
@@ -344,7 +363,7 @@ class Bench:
         alone = self.refit([*fitted.model.terms, *tried.kept], fitted, shapes)
         new = self.held_out(alone)
         lowers = held_out.exceed(new) or not self._plain(tried.best)  # held-out rows may not test a local effect
-        return replace(tried, fitted=alone, held_out=new, reason="" if lowers else ONLY_BESIDE)
+        return replace(tried, fitted=alone, held_out=new, before=held_out.rms, reason="" if lowers else ONLY_BESIDE)
 
 
 def _needless(s: Scored, own: Step | None, best: Scored, step: Step | None) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -28,6 +29,8 @@ class Tried:
 
     Attributes
     ----------
+    before
+        The held-out rms without it, in the stage's unit.
     reason
         Why it is refused; empty if it is not.
     confusable
@@ -42,6 +45,7 @@ class Tried:
     p_held_out: float
     stability: float
     reason: str
+    before: float = math.nan
     confusable: list[dict[str, Any]] = field(default_factory=list)
 
     def entry(self, effects: dict[str, Effect], before: float, estimate: Estimate) -> dict[str, Any]:
@@ -54,10 +58,22 @@ class Tried:
             "confusable_with": self.confusable,
         }
 
-    def refusal(self, effects: dict[str, Effect], before: float, reason: str = "") -> dict[str, Any]:
+    def holds_for(self, again: Scored) -> bool:
+        """Whether the held-out error need not be asked again: the rows say no more for it than when it was refused.
+
+        Its amplitudes, in their standard errors, are longer by less than one of these.
+        """
+        return math.sqrt(max(again.explained, 0.0)) <= math.sqrt(max(self.best.explained, 0.0)) + ONE
+
+    @property
+    def remembered(self) -> Tried:
+        """The same without the columns of its candidate, which are as long as the rows."""
+        return replace(self, best=replace(self.best, candidate=self.best.candidate.remembered))
+
+    def refusal(self, effects: dict[str, Effect], reason: str = "") -> dict[str, Any]:
         """The same of one that is refused, with its reason or another; its parameters are the score's."""
         scale = self.scores.space.scale
-        entry = entry_of(self.best, self.scores.named_null, effects, (before, self.held_out.rms), scale=scale)
+        entry = entry_of(self.best, self.scores.named_null, effects, (self.before, self.held_out.rms), scale=scale)
         outcome = {"stability": self.stability, "p_held_out": self.p_held_out, "reason": reason or self.reason}
         return {**entry, **outcome}
 

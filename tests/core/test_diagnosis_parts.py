@@ -188,11 +188,11 @@ def test_candidates_raising_the_held_out_error_are_refused_without_a_fit(simulat
     held_out, scores = bench.held_out(fitted), bench.scores(fitted, 0)
     able = [s for s in scores.named if s.freedom and s.state == "testable" and s.candidate.name == "gear_eccentricity"]
     false = [s for s in able if s.candidate.places == ("joint4",)]
-    refused, _ = bench.decided(replace(scores, named=false), fitted, held_out)
+    refused, _ = bench.decided(replace(scores, named=false), fitted, held_out, {})
     assert refused is None
     assert not starts
     (true,) = (s for s in able if s.candidate.places == ("joint2",))
-    tried, _ = bench.decided(replace(scores, named=[true]), fitted, held_out)
+    tried, _ = bench.decided(replace(scores, named=[true]), fitted, held_out, {})
     assert isinstance(tried, Tried)
     assert tried.held_out.rms < held_out.rms
     size = tried.fitted.estimate.problem.sizes()
@@ -240,7 +240,7 @@ def test_correlated_candidates_that_do_not_lower_the_held_out_error_are_no_tie(s
     refused = bench._undecided(false[0], false[1:], scores, fitted, held_out)
     assert isinstance(refused, Tried)
     assert refused.reason
-    entry = refused.refusal(dict(opened.effects), held_out.rms)
+    entry = replace(refused, before=held_out.rms).refusal(dict(opened.effects))
     assert entry["parameters"]
     tie = bench._undecided(false[0], [joints["joint2",]], scores, fitted, held_out)
     assert isinstance(tie, Undecided)
@@ -286,3 +286,29 @@ def test_a_step_from_a_fit_that_dropped_other_rows(simulated: Callable[..., Camp
     for slot in gear.candidate.slots:
         found, before = step.near.values()[slot], known.near.values()[slot]
         assert found == pytest.approx(before, abs=0.3 * max(abs(before), 1e-5))
+
+
+def test_what_was_refused_is_fitted_again_only_with_more_evidence(simulated: Callable[..., Campaign]):
+    """Its outcome stays, with the errors of its own trial; it is listed with its present score."""
+    campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
+    model = identify(campaign, {"poses": ("geometry", "joint_compliance")})
+    opened = on_campaign(model, campaign)
+    fitted = opened.refit("poses")
+    bench = bench_of(opened, fitted, refits(opened))
+    held_out, scores = bench.held_out(fitted), bench.scores(fitted, 0)
+    scores = replace(scores, named=[s for s in scores.named if s.candidate.label == "gear_eccentricity@joint2"])
+    found, refused = bench.decided(scores, fitted, held_out, {})
+    assert isinstance(found, Tried)
+    assert not refused
+    label = found.best.candidate.label
+    outcome = replace(found, reason="the held-out error does not fall", before=1.0).remembered
+    earlier = {label: outcome}
+    other, passed = bench.decided(scores, fitted, held_out, earlier)
+    assert other is None
+    assert (passed[0].best.candidate.label, passed[0].before) == (label, 1.0)
+    assert passed[0].best.candidate.columns is scores.best().candidate.columns
+    clearer = replace(outcome, best=replace(outcome.best, explained=(outcome.best.explained**0.5 - 1.1) ** 2))
+    again, passed = bench.decided(scores, fitted, held_out, {label: clearer})
+    assert isinstance(again, Tried)
+    assert again.best.candidate.label == label
+    assert not passed
