@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.chain.compiled import Rowwise
+from clampid.chain.piecewise import Piecewise
 from clampid.chain.row_symbols import RowSymbols, offer_friction_state, offer_torque, parameter_columns
 from clampid.chain.stage_chain import StageChain
 from clampid.chain.steady import Steady, parted
@@ -101,7 +102,7 @@ class Chain:
     slots: tuple[Slot, ...]
     offsets: Mapping[str, slice]
     signals: tuple[tuple[str, int], ...]
-    function: Rowwise
+    function: Rowwise | Piecewise
     station: npt.NDArray[np.int64]
     parameter: npt.NDArray[np.int64]
     least: Array
@@ -170,25 +171,51 @@ class Chain:
         """The chain of those parameters alone, all others zero; of the stage ``free_air``, which has no flanks."""
         own = np.flatnonzero(self.bends)
         theta = ca.SX.sym("theta", len(own))
-        blocks = [ca.SX.sym(name, width) for name, width in self.signals]
+        blocks = self._blocks()
         every = ca.SX(len(self.slots), 1)
         every[own.tolist()] = theta
         values, derivatives = self.function.function(every, ca.vertcat(*blocks))
         kept = np.flatnonzero(self.bends[self.parameter])
         outputs = [values, derivatives[kept.tolist()]]
-        # Regressors of masses are most of a row's numbers, and to copy them takes longer than all else.
-        read = [k for k, block in enumerate(blocks) if ca.depends_on(ca.vertcat(*outputs), block)]
+        signals, read = self._read(blocks, ca.vertcat(*outputs))
         return replace(
             self,
             slots=tuple(self.slots[k] for k in own),
-            signals=tuple(self.signals[k] for k in read),
-            function=Rowwise(ca.Function("bent", [theta, ca.vertcat(*(blocks[k] for k in read))], outputs)),
+            signals=signals,
+            function=Piecewise(ca.Function("bent", [theta, read], outputs), self.station[kept]),
             station=self.station[kept],
             parameter=np.searchsorted(own, self.parameter[kept]),
             least=self.least[own],
             affine=False,
             scales=(),
         )
+
+    def derivatives_from(self, first: int) -> Chain:
+        """The derivatives by the slots from the ``first`` on, without the deviations."""
+        kept = np.flatnonzero(self.parameter >= first)
+        theta, blocks = ca.SX.sym("theta", len(self.slots)), self._blocks()
+        _, derivatives = self.function.function(theta, ca.vertcat(*blocks))
+        wanted = derivatives[kept.tolist()] if len(kept) else ca.SX(0, 1)
+        signals, read = self._read(blocks, wanted)
+        return replace(
+            self,
+            signals=signals,
+            function=Piecewise(ca.Function("derivatives", [theta, read], [ca.SX(0, 1), wanted]), self.station[kept]),
+            station=self.station[kept],
+            parameter=self.parameter[kept],
+        )
+
+    def _blocks(self) -> list[Any]:
+        """The signals as symbols, one by one."""
+        return [ca.SX.sym(name, width) for name, width in self.signals]
+
+    def _read(self, blocks: Sequence[Any], wanted: Any) -> tuple[tuple[tuple[str, int], ...], Any]:
+        """Which signals some expressions read, and their symbols in one column.
+
+        Regressors of masses are most of a row's numbers, and to copy them takes longer than all else.
+        """
+        read = [k for k, block in enumerate(blocks) if ca.depends_on(wanted, block)]
+        return tuple(self.signals[k] for k in read), ca.vertcat(*(blocks[k] for k in read))
 
     @cached_property
     def moves_several(self) -> npt.NDArray[np.int64]:
@@ -325,6 +352,7 @@ def build_chain(
     if "sag_torque" in row.flats and ca.depends_on(stacked, row.flats["sag_torque"]):
         yields = ca.densify(stacked[offsets["joint_angle"]])
     inputs = [theta, ca.vertcat(*row.flats.values())]
+    function = ca.Function("deviations", inputs, outputs)
     widths = tuple((name, flat.shape[0]) for name, flat in row.flats.items())
     least = least_deciding(slots, effects)
     return Chain(
@@ -332,7 +360,7 @@ def build_chain(
         tuple(slots),
         offsets,
         widths,
-        Rowwise(ca.Function("deviations", inputs, outputs)),
+        (Piecewise(function, station_of) if stage.moving else Rowwise(function)),
         station_of,
         parameter_of,
         least,

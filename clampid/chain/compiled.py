@@ -29,19 +29,21 @@ from clampid.chain.lanes import Lanes, lanes_source
 from clampid.chain.library_folder import digest_of, is_whole, own_folder, remove_oldest, used_now
 from experiments.outputs import flush_folder, scratch_folder
 
-__all__ = ["Blocks", "Rowwise", "compile_function", "compile_rows", "compiler"]
+__all__ = ["Blocks", "Rowwise", "compile_function", "compile_piece", "compile_rows", "compiler", "pieces_pay"]
 
 Array = npt.NDArray[np.float64]
 
 BLOCK = 64  # rows evaluated at once; the last block of a call is filled up with what was there before
 # Neither of the first two changes a result: casadi's code asks for no errno, and traps no exception of the processor.
 OPTIONS = ("-O2", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
+ONCE_OPTIMISED = ("-O1", *OPTIONS[1:])  # half of the time to compile of the first, and as fast for short functions
 HURRIED = ("-O0", *OPTIONS[1:])  # a seventh of the time to compile, half of the speed
 PLAIN = ("-std=c99",)
 NATIVE = ("-std=gnu99", "-march=native", "-fopenmp-simd", "-Wno-psabi")  # for this processor; not every compiler can
 # Seconds, measured on one core and rounded: of the compiler to begin, and for an instruction; and what a row of
 # an instruction takes less when it is compiled. Their ratios alone count.
 BEGINS, COMPILES, SAVES = 0.06, 3.5e-5, 3.3e-9
+PIECE_ROWS = 1000  # of a call, from which on pieces are compiled: it takes as long as 200 calls with fewer rows save
 CALLS = 20  # of a function with the rows of one fit, at least: its points, a few for each of its searches
 COMPILE_SECONDS = 120.0  # one that takes longer is not worth waiting for
 
@@ -129,6 +131,16 @@ def compile_rows(function: Any) -> Blocks | Lanes:
         A dense ``casadi.Function`` of two inputs, without calls to anything that has no C source.
     """
     return _lanes(function, OPTIONS) or Blocks(compile_function(function))
+
+
+def compile_piece(function: Any) -> Blocks | Lanes:
+    """A casadi function as of `compile_rows`, for one that many models share: see :mod:`clampid.chain.piecewise`."""
+    return _lanes(function, ONCE_OPTIMISED) or Blocks(function)
+
+
+def pieces_pay(rows: int) -> bool:
+    """Whether functions of so many rows are compiled piece by piece: with a compiler, where there are enough rows."""
+    return rows >= PIECE_ROWS and compiler() is not None
 
 
 def _lanes(function: Any, options: Sequence[str]) -> Lanes | None:

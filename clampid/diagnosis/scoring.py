@@ -27,6 +27,7 @@ from clampid.evidence.orders import order_scores
 from clampid.evidence.scan import scan
 from clampid.evidence.score import Flips, Scored, flip_maxima, score
 from clampid.evidence.space import Space, space_of
+from clampid.fitting.further_columns import Derivatives
 from clampid.fitting.solve import Estimate
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Rows
@@ -64,18 +65,19 @@ def scores_of(
     wander
         By how much readings are known to wander at least.
     """
-    found = _scores_of(estimate, effects, flips, seed, granted, block)
+    known = Derivatives()
+    found = _scores_of(estimate, effects, flips, seed, granted, block, known)
     wandering = with_wander(estimate, found.clearest, wander)
     if wandering is None:
         return found
     if estimate.noise.autocorrelations:  # learned from what wanders, too
         short = whitened_by(estimate, estimate.noise.of_short_memory)
-        clearest = _scores_of(short, effects, flips, seed, granted, block).clearest
+        clearest = _scores_of(short, effects, flips, seed, granted, block, known).clearest
         wandering = with_wander(short, clearest, wander) or wandering
     # What the fit absorbs, but for rounding and for noise in its columns (a scale, of measured positions), it absorbs.
     shown = {s.candidate.label for s in found.named if s.freedom}
     del found  # as large as its rows and all that is active
-    again = _scores_of(wandering, effects, flips, seed, granted, block)
+    again = _scores_of(wandering, effects, flips, seed, granted, block, known)
     named = [s if s.candidate.label in shown else replace(s, state="absorbed") for s in again.named]
     return replace(again, named=named, wander=max(wandering.noise.wander))
 
@@ -139,12 +141,18 @@ def _as_significant(again: Sequence[Scored], null: Flips, before: Sequence[Score
 
 
 def _scores_of(
-    estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int, granted: Sequence[Candidate], block: int
+    estimate: Estimate,
+    effects: dict[str, Effect],
+    flips: int,
+    seed: int,
+    granted: Sequence[Candidate],
+    block: int,
+    known: Derivatives,
 ) -> CandidateScores:
     """The same with the noise that the estimate has."""
     space, free, free_null = _probed(estimate, flips, seed, granted, block)
     fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= DICTIONARY_FALSE_ALARMS}
-    named = score(space, named_candidates(estimate, effects, fired))
+    named = score(space, named_candidates(estimate, effects, fired, known))
     events = event_scores(estimate, space, effects) + order_scores(estimate, space, effects)
     named_null = flip_maxima(space, named, flips, seed).joined(len(events), seed)
     named = [s.remembered for s in named] + events

@@ -14,9 +14,10 @@ import numpy as np
 from clampid.effect import Effect, Parameter
 from clampid.evidence.columns import Columns, Products, columns_from
 from clampid.evidence.of_size import SIZES
+from clampid.fitting.further_columns import Derivatives, whitened_columns
 from clampid.fitting.gauge import independent_geometry
 from clampid.fitting.noise import Whitened
-from clampid.fitting.solve import Estimate, whitened_columns
+from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term, slots_of
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array
@@ -167,7 +168,10 @@ def _recorded(estimate: Estimate, effect: Effect, place: str) -> bool:
 
 
 def named_candidates(
-    estimate: Estimate, effects: Mapping[str, Effect], fired: Collection[str] | None = None
+    estimate: Estimate,
+    effects: Mapping[str, Effect],
+    fired: Collection[str] | None = None,
+    known: Derivatives | None = None,
 ) -> list[Candidate]:
     """The absent effects as candidates: place by place, or at all remaining places together, as their scope says.
 
@@ -183,7 +187,10 @@ def named_candidates(
         Names of the significant probes. An effect with a revealing probe
         (:attr:`clampid.search_policy.Search.revealed_by`) is a candidate only if that probe is among them. None: every
         absent effect is a candidate.
+    known
+        Derivatives at this fit, to which those that are missing are added.
     """
+    known = known or Derivatives()
     rows = estimate.problem.rows
     terms = terms_not_active(estimate, effects)
     if fired is not None:
@@ -212,7 +219,7 @@ def named_candidates(
         deep = {s.effect for s in every if level < len(parameters[s].grid)}
         extra = [s for s in every if level == 0 or s.effect in deep]
         values = [parameters[s].grid[level] if parameters[s].shape else 0.0 for s in extra]
-        white = whitened_columns(estimate, extra, values)
+        white = known.of(estimate, extra, values)
         index = {s: k for k, s in enumerate(extra)}
         for name in dict.fromkeys(t.effect for t in terms):
             if level > 0 and name not in deep:

@@ -22,7 +22,8 @@ from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate, candidate_of, is_sought
 from clampid.evidence.score import Scored, score
 from clampid.evidence.space import Space, space_of
-from clampid.fitting.solve import Estimate, whitened_columns
+from clampid.fitting.further_columns import whitened_columns
+from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.prewhitening import Predictors

@@ -28,7 +28,7 @@ from clampid.stages.prewhitening import (
 from clampid.stages.row_constants import LogConstants
 from clampid.stages.rows import Array, Integers, Rows
 
-__all__ = ["Late", "Noise", "Whitened", "groups_of", "initial_noise", "learn_noise", "put_columns"]
+__all__ = ["Late", "Noise", "SparseColumns", "Whitened", "groups_of", "initial_noise", "learn_noise", "put_columns"]
 
 LONG_MEMORY_LAG = ORDER // 2 + 1  # from this lag on, an autocorrelation is taken as that of a slow level
 MAD_TO_STD = 1.4826  # standard deviation over median absolute deviation, of a normal distribution
@@ -89,6 +89,30 @@ class Whitened:
     def with_jacobian_of(self, other: Whitened) -> Whitened:
         """The residual of this, with the Jacobian of ``other``, which has the same rows."""
         return Whitened(self.residual, other.source, self.entry, self.channel)
+
+
+@dataclass(frozen=True)
+class SparseColumns:
+    """A Jacobian ``(N, m, P)``, channel by channel without the columns that are zero there.
+
+    Most parameters of a log act on one motor only.
+
+    Attributes
+    ----------
+    channels
+        For each channel the numbers ``(k,)`` of its columns, ascending, and these ``(N, k)``.
+    width
+        Number of columns P.
+    """
+
+    channels: tuple[tuple[Integers, Array], ...]
+    width: int
+
+    @staticmethod
+    def of(jacobian: Array) -> SparseColumns:
+        """The columns of ``(N, m, P)`` that are not zero."""
+        touched = [np.flatnonzero(np.any(jacobian[:, c], axis=0)) for c in range(jacobian.shape[1])]
+        return SparseColumns(tuple((k, jacobian[:, c, k]) for c, k in enumerate(touched)), jacobian.shape[2])
 
 
 @lru_cache(maxsize=2)  # the Jacobians of the fit under test and of the fit that it is compared with
@@ -153,33 +177,34 @@ class Noise:
     def whiten(self, rows: Rows, residual: Array, jacobian: Array) -> Whitened:
         """Whiten a residual ``(N, m)`` and a Jacobian ``(N, m, P)`` of these rows, both SI."""
         residual, jacobian = rows.in_noise_axes(residual), rows.in_noise_axes(jacobian)
-        if not self.autocorrelations:
-            channel, entry = np.nonzero(rows.used.T)
-            sigma, columns = self.sigma[entry, channel], jacobian[entry, channel]
-            columns /= sigma[:, None]  # in place: the Jacobian of a long table is the largest array
-            white = residual[entry, channel] / sigma
-            for number in np.flatnonzero(self.wander).tolist():
-                own = channel == number
-                both = self._without_wander(rows, number, entry[own], np.c_[white[own], columns[own]])
-                white[own], columns[own] = both[:, 0], both[:, 1:]
-            return Whitened(white, columns, entry, channel)
+        if self.autocorrelations:
+            return self.whiten_sparse(rows, residual, SparseColumns.of(jacobian))
+        channel, entry = np.nonzero(rows.used.T)
+        sigma, columns = self.sigma[entry, channel], jacobian[entry, channel]
+        columns /= sigma[:, None]  # in place: the Jacobian of a long table is the largest array
+        white = residual[entry, channel] / sigma
+        for number in np.flatnonzero(self.wander).tolist():
+            own = channel == number
+            both = self._without_wander(rows, number, entry[own], np.c_[white[own], columns[own]])
+            white[own], columns[own] = both[:, 0], both[:, 1:]
+        return Whitened(white, columns, entry, channel)
+
+    def whiten_sparse(self, rows: Rows, residual: Array, jacobian: SparseColumns) -> Whitened:
+        """The same of a log, from the columns that are not zero."""
         parts_r, parts_j, entries, channels = [], [], [], []
-        for c in range(residual.shape[1]):
-            used = rows.used[:, c]
-            index = np.flatnonzero(used)
+        for c, (numbers, columns) in enumerate(jacobian.channels):
+            index = np.flatnonzero(rows.used[:, c])
             if not len(index):
                 continue
-            own = jacobian[:, c]
-            touched = np.flatnonzero(np.any(own, axis=0))  # most parameters of a log act on one motor only
-            both = self.whiten_channel(rows, c, np.c_[residual[:, c], own[:, touched]])
-            j = np.zeros((len(both), jacobian.shape[2]))
-            put_columns(j, touched, both[:, 1:])
+            both = self.whiten_channel(rows, c, np.c_[residual[:, c], columns])
+            j = np.zeros((len(both), jacobian.width))
+            put_columns(j, numbers, both[:, 1:])
             parts_r.append(both[:, 0])
             parts_j.append(j)
             entries.append(self._middle(rows, index))
             channels.append(np.full(len(both), c))
         if not parts_r:
-            return Whitened(np.zeros(0), np.zeros((0, jacobian.shape[2])), np.zeros(0, np.int64), np.zeros(0, np.int64))
+            return Whitened(np.zeros(0), np.zeros((0, jacobian.width)), np.zeros(0, np.int64), np.zeros(0, np.int64))
         return Whitened(
             np.concatenate(parts_r), np.concatenate(parts_j), np.concatenate(entries), np.concatenate(channels)
         )

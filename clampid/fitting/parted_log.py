@@ -176,8 +176,8 @@ class PartedLog:
         own, white = np.zeros_like(self.part.residual), np.zeros((len(left), 0))
         if len(self.part.other):
             of_v = np.r_[theta[self.part.other], np.zeros(self.nonlinear.offsets)]
-            own, derivative = self.nonlinear.derivative(of_v, 0)
-            found = self.noise.whiten(self.nonlinear.rows, own, derivative)
+            own, derivative = self.nonlinear.residual(of_v)
+            found = self.noise.whiten(self.nonlinear.rows, own, derivative[:, :, : len(self.part.other)])
             left += found.residual
             white = found.jacobian
         if len(load):

@@ -28,7 +28,6 @@ __all__ = [
     "point_at",
     "solve",
     "stage_point",
-    "whitened_columns",
 ]
 
 
@@ -335,14 +334,3 @@ def _same_flanks_and_loads(frozen: FitProblem, other: FitProblem) -> bool:
     """Whether two problems have the same flanks and loads."""
     before, after = frozen.rows.signals, other.rows.signals
     return before is after or all(np.array_equal(before[name], after[name]) for name in FOLLOWING if name in after)
-
-
-def whitened_columns(estimate: Estimate, extra: Sequence[Slot], values: Sequence[float] | Array) -> Whitened:
-    """Whitened columns ``(M, E)`` of E further slots at the solution of a fit.
-
-    ``values`` ``(E,)``: values of the further slots, SI; zero for amplitudes.
-    """
-    count = len(estimate.slots)
-    trial = estimate.problem.with_slots((*estimate.slots, *extra))
-    theta = np.r_[estimate.theta[:count], values, estimate.theta[count:]]
-    return estimate.noise.whiten(estimate.problem.rows, *trial.derivative(theta, count))

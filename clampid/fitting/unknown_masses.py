@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from clampid.fitting.descent import inverse_of
+from clampid.fitting.further_columns import whitened_columns
 from clampid.fitting.priors import description_priors
-from clampid.fitting.solve import Estimate, whitened_columns
+from clampid.fitting.solve import Estimate
 from clampid.roles import WEIGHTS
 
 __all__ = ["with_unknown_masses"]

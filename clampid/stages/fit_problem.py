@@ -82,8 +82,8 @@ class FitProblem:
         """Measured less predicted ``(N, m)`` alone, SI."""
         return self.kind.error(*self._parts(theta))
 
-    def derivative(self, theta: Array, first: int) -> tuple[Array, Array]:
-        """The same with the derivative by the slots from the ``first`` on, ``(N, m, P - first)``."""
+    def derivative(self, theta: Array, first: int) -> Array:
+        """The prediction's derivative by the slots from the ``first`` on, ``(N, m, P - first)``, SI."""
         return self.kind.derivative(*self._parts(theta), first)
 
     def moved(self, theta: Array, steps: Array) -> Array:

@@ -104,14 +104,9 @@ def error_of(residual: Residual) -> Callable[[Rows, Chain, Array, Array], Array]
     return lambda rows, chain, theta, offsets: residual(rows, chain, theta, offsets)[0]
 
 
-def derivative_of(residual: Residual) -> Callable[[Rows, Chain, Array, Array, int], tuple[Array, Array]]:
-    """The residual with its derivative by the slots from one on, of a stage that has no shorter way to it."""
-
-    def derivative(rows: Rows, chain: Chain, theta: Array, offsets: Array, first: int) -> tuple[Array, Array]:
-        left, jacobian = residual(rows, chain, theta, offsets)
-        return left, jacobian[:, :, first : len(theta)]
-
-    return derivative
+def derivative_of(residual: Residual) -> Callable[[Rows, Chain, Array, Array, int], Array]:
+    """The prediction's derivative by the slots from one on, of a stage that has no shorter way to it."""
+    return lambda rows, chain, theta, offsets, first: residual(rows, chain, theta, offsets)[1][:, :, first : len(theta)]
 
 
 def moved_of(residual: Residual) -> Callable[[Rows, Chain, Array, Array, Array], Array]:
@@ -153,8 +148,7 @@ class StageKind(StageChain):
     error
         The same without the derivative.
     derivative
-        ``(rows, chain, theta, offsets, first)``: the residual, and the derivative by slots from the ``first`` on,
-        ``(N, m, P - first)``.
+        ``(rows, chain, theta, offsets, first)``: the derivative by slots from the ``first`` on, ``(N, m, P - first)``.
     moved
         ``(rows, chain, theta, offsets, steps)``: what steps ``(P + K, k)`` do to the prediction ``(N, m, k)``.
     frozen
@@ -171,7 +165,7 @@ class StageKind(StageChain):
     rows: Callable[[Sequence[Campaign], Layout, Wanted], Rows]
     residual: Residual
     error: Callable[[Rows, Chain, Array, Array], Array]
-    derivative: Callable[[Rows, Chain, Array, Array, int], tuple[Array, Array]]
+    derivative: Callable[[Rows, Chain, Array, Array, int], Array]
     moved: Callable[[Rows, Chain, Array, Array, Array], Array]
     points: bool = False
     verification: str = ""

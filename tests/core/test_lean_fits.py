@@ -98,8 +98,7 @@ def test_errors_and_steps_are_those_of_the_whole_derivative(arm: FitProblem):
     residual, jacobian = arm.residual(theta)
     np.testing.assert_array_equal(arm.error(theta), residual)
     first = len(size) - 40
-    some, last = arm.derivative(theta, first)
-    np.testing.assert_array_equal(some, residual)
+    last = arm.derivative(theta, first)
     np.testing.assert_allclose(last, jacobian[:, :, first:], rtol=1e-12, atol=1e-15)
     steps = size[:, None] * rng.normal(size=(len(size), 3))
     expected = jacobian @ steps
@@ -133,8 +132,7 @@ def test_errors_and_steps_of_a_log_are_those_of_the_whole_derivative(few_rows: d
     residual, jacobian = log.residual(theta)
     np.testing.assert_array_equal(log.error(theta), residual)
     first = len(log.slots) - 9
-    some, last = log.derivative(theta, first)
-    np.testing.assert_array_equal(some, residual)
+    last = log.derivative(theta, first)
     np.testing.assert_array_equal(last, jacobian[:, :, first : len(log.slots)])
     near = theta + 1e-6 * size * (np.arange(len(size)) == first)
     slope = (residual - log.error(near)) / (1e-6 * size[first])

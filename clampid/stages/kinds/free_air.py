@@ -19,9 +19,8 @@ def _rows(campaigns: Sequence[Campaign], layout: Layout, wanted: Wanted) -> Rows
     return torques.torque_rows(campaigns, layout, *explained(wanted.active))
 
 
-def _derivative(rows: Rows, chain: Chain, theta: Array, offsets: Array, first: int) -> tuple[Array, Array]:
-    residual, jacobian = torques.residual(rows, chain, theta, offsets, first)
-    return residual, jacobian[:, :, : len(theta) - first]
+def _derivative(rows: Rows, chain: Chain, theta: Array, offsets: Array, first: int) -> Array:
+    return torques.derivative(rows, chain, theta, first)
 
 
 def _moved(rows: Rows, chain: Chain, theta: Array, offsets: Array, steps: Array) -> Array:

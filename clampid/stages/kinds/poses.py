@@ -27,8 +27,8 @@ def _error(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> Array:
     return poses.residual(rows, chain, theta, len(theta))[0]
 
 
-def _derivative(rows: Rows, chain: Chain, theta: Array, offsets: Array, first: int) -> tuple[Array, Array]:
-    return poses.residual(rows, chain, theta, first)
+def _derivative(rows: Rows, chain: Chain, theta: Array, offsets: Array, first: int) -> Array:
+    return poses.residual(rows, chain, theta, first)[1]
 
 
 def _moved(rows: Rows, chain: Chain, theta: Array, offsets: Array, steps: Array) -> Array:
