@@ -44,7 +44,8 @@ class Confirmed:
 
     def step(self, entry: dict[str, Any]) -> Step:
         """For the ledger."""
-        return Step(tuple(self.tried.kept), evidence_of(entry, self.tried.best, self.tried.scores, self.refused))
+        evidence = evidence_of(entry, self.tried.best, self.tried.scores, self.refused)
+        return Step(tuple(self.tried.kept), evidence, self.tried.fitted)
 
 
 def with_needed_only(bench: Bench, steps: Sequence[Confirmed], again: set[str]) -> list[Confirmed]:

@@ -34,7 +34,7 @@ from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 from experiments.plans.errors import PlanError
 
-__all__ = ["Diagnosis", "diagnose"]
+__all__ = ["Diagnosis", "diagnose", "with_fits"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -115,6 +115,26 @@ def diagnose(
     EffectError
         There are fewer flips than the level of the test needs: nothing could be found to be missing.
     """
+    found = with_fits(
+        model, campaigns, seed=seed, flips=flips, user_effects=user_effects, stages=stages, plan_for=plan_for
+    )
+    for part in found.stages.values():
+        part.forget_fits()
+    return found
+
+
+@single_threaded
+def with_fits(
+    model: Model,
+    campaigns: Campaign | Sequence[Campaign],
+    *,
+    seed: int = 0,
+    flips: int = 199,
+    user_effects: Path | None = None,
+    stages: Sequence[Stage] | None = None,
+    plan_for: Sequence[str] | None = None,
+) -> Diagnosis:
+    """The same, of which each step remembers its fit, to be added without another one."""
     refuse_few_flips(flips)
     opened = mending = on_campaign(model, campaigns, user_effects)
     several = len(opened.campaigns) > 1  # each has a controller's setting of its own

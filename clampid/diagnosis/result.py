@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
+
+import numpy as np
 
 from clampid.diagnosis.candidate_scores import CandidateScores
 from clampid.diagnosis.folds import Folds
@@ -15,6 +17,7 @@ from clampid.effect import Stage
 from clampid.fitting.agreeing import Agreement
 from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
+from clampid.stages.rows import Rows
 
 __all__ = ["StageDiagnosis", "Step", "Verdict"]
 
@@ -31,15 +34,26 @@ class Step:
         One effect, at several places if these were tried and confirmed together.
     evidence
         For the ledger, with the names of a candidate of :class:`StageDiagnosis`.
+    fitted
+        The fit with these and all steps before, where the diagnosis remembers it.
     """
 
     terms: tuple[Term, ...]
     evidence: Mapping[str, Any] = field(default_factory=dict)
+    fitted: FittedStage | None = field(default=None, compare=False, repr=False)
 
     @property
     def label(self) -> str:
         """For people."""
         return ", ".join(term.label for term in self.terms)
+
+    def fit_of(self, terms: Sequence[Term], rows: Rows) -> FittedStage | None:
+        """The fit that it remembers, if that has these terms and was made of these rows of a log."""
+        known = self.fitted
+        if known is None or set(known.model.terms) != set(terms) or known.rows.measured.shape != rows.measured.shape:
+            return None
+        same = np.array_equal(known.rows.measured, rows.measured) and np.array_equal(known.rows.used, rows.used)
+        return known if same else None
 
 
 @dataclass(repr=False)
@@ -117,6 +131,11 @@ class StageDiagnosis:
     def added(self) -> list[Term]:
         """The terms of all steps."""
         return [term for step in self.steps for term in step.terms]
+
+    def forget_fits(self) -> None:
+        """Forget the fits of the steps, each of which is as large as its rows."""
+        for steps in (self.steps, self.alike, self.in_order):
+            steps[:] = [replace(step, fitted=None) for step in steps]
 
     def ask_for(self, proposed: NextPlan, otherwise: Sequence[str]) -> None:
         """Record the measurements that distinguish the candidates, and other means for pairs that none distinguish."""

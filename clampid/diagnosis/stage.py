@@ -215,7 +215,7 @@ def _undecided(
         result.candidates += entries
         if here is not None:
             evidence = evidence_of(entries[0], group.members[0], group.scores, ())
-            result.alike.append(Step(group.members[0].candidate.terms, evidence))
+            result.alike.append(Step(group.members[0].candidate.terms, evidence, here.fitted))
     first = groups[0]
     result.next_measurement = separating_measurement((s.candidate.family for s in first.members), effects, result.stage)
     base = outcome.taken[0].base if outcome.taken else fitted

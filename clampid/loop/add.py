@@ -267,7 +267,7 @@ def _stage_with(
     """Add one step after the other to a stage. Each round starts with the fit of the round before."""
     effects, model = opened.effects, opened.stages[stage]
     before = {s: m for s, m in stages.items() if s != stage}
-    held_out, carried_prior = model.held_out, model.carried_prior
+    held_out, others = model.held_out, model.carried_prior or before
 
     def begin(known: StageModel, active: Sequence[Effect]) -> tuple[FittedStage, Rows | None, StageErrors]:
         rows = stage_rows(
@@ -278,7 +278,7 @@ def _stage_with(
             active=active,
             anchors=opened.anchors,
         )
-        fitted = fit_stage(rows, effects, known.terms, carried_prior or before, known.values(), held_out)
+        fitted = fit_stage(rows, effects, known.terms, others, known.values(), held_out)
         verification = verification_rows(opened.campaigns, opened.layout, stage, fitted.base_reference)
         return fitted, verification, fitted.errors(verification, seed, floor)
 
@@ -303,7 +303,8 @@ def _stage_with(
             continue
         old, worse = fitted.model, errors
         every, last = (*old.terms, *new.terms), fitted.estimate
-        fitted = fit_stage(fitted.rows, effects, every, carried_prior or before, new.start, held_out, last=last)
+        ready = step.fit_of(every, fitted.rows) if model.kind.moving and not others else None
+        fitted = ready or fit_stage(fitted.rows, effects, every, others, new.start, held_out, last=last)
         errors = fitted.errors(verification, seed, floor)
         rounds.append(_round(old, fitted.model, worse, errors, step.evidence))
     if rounds and kind_of(stage).moving:

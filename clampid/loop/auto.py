@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from clampid.diagnosis.diagnose import Diagnosis, diagnose
+from clampid.diagnosis.diagnose import Diagnosis, with_fits
 from clampid.diagnosis.headline import headline
 from clampid.diagnosis.result import Step
 from clampid.effect import Stage
@@ -76,7 +76,7 @@ def mend(
         The model with the added effects and its ledger, and what the diagnosis found.
     """
     with substep("diagnosing", 0.8):
-        found = diagnose(model, campaigns, seed=seed, user_effects=user_effects)
+        found = with_fits(model, campaigns, seed=seed, user_effects=user_effects)
     steps: dict[Stage, list[Step]] = {}
     for stage, part in found.stages.items():
         progress(f"{stage}: {headline({stage: part.to_json()})}")
@@ -88,6 +88,8 @@ def mend(
             progress(f"{stage}: added {step.label}; on these rows {others} would give the same model")
     with substep("adding", 1.0):
         mended, left_out = add_steps(model, campaigns, steps, seed=seed, user_effects=user_effects)
+    for part in found.stages.values():
+        part.forget_fits()
     for stage, step in left_out:
         progress(f"{stage}: {step.label} is left out: with the effects already added it is not identifiable")
     return mended, found

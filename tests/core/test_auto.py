@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +17,11 @@ from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.result import Step
 from clampid.diagnosis.scoring import scores_of
 from clampid.display import error_text
+from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.loop.add import add, add_steps
-from clampid.loop.auto import auto
+from clampid.loop.auto import auto, mend
 from clampid.loop.undo import undo
 from clampid.models.model import Model, load_model, save_model
 from clampid.slots import Term
@@ -158,3 +160,28 @@ def test_limits_are_those_of_what_is_not_in_the_model_in_the_end(arm: Campaign, 
         for several in (hidden, start.testability)
     ]
     assert smallest[1] < 0.2 * smallest[0]
+
+
+def test_what_the_diagnosis_of_a_log_has_fitted_is_not_fitted_again(
+    simulated: Simulated, monkeypatch: pytest.MonkeyPatch
+):
+    """And it is the model that a fit of the same terms gives."""
+    campaign = simulated(seed=3, tables=("free_air",), hidden=("load_dependent_friction@joint2:3",))
+    model, found = auto(campaign)
+    fitted: list[int] = []
+
+    def counted(*args: Any, **options: Any) -> FittedStage:
+        fitted.append(1)
+        return fit_stage(*args, **options)
+
+    steps = found.stages["free_air"].steps
+    assert steps
+    assert all(step.fitted is None for step in steps)
+    monkeypatch.setattr("clampid.loop.add.fit_stage", counted)
+    again, _ = add_steps(identify(campaign), campaign, {"free_air": steps})
+    of_all = len(fitted)
+    mend(identify(campaign), campaign)
+    assert len(fitted) - of_all == of_all - len(steps)
+    for slot, value in again.stages["free_air"].values().items():
+        size = np.sqrt(again.stages["free_air"].covariance.diagonal())[again.stages["free_air"].slots.index(slot)]
+        assert abs(model.stages["free_air"].values()[slot] - value) < 0.01 * max(size, 1e-12)
