@@ -74,3 +74,13 @@ def test_few_rows_are_not_compiled(cache: Path, rows: Rows):
     problem = problem_of(rows.take(np.arange(PIECE_ROWS - 1)), *NAMES)
     problem.residual(somewhere(problem))
     assert list(cache.rglob("*.so")) == []
+
+
+@pytest.mark.parametrize("count", [50, PIECE_ROWS])
+def test_a_constant_reads_no_signal(rows: Rows, count: int):
+    problem = problem_of(rows.take(np.arange(count)), "coulomb_friction", "torque_offset@joint2")
+    theta = somewhere(problem)
+    last = len(problem.slots) - 1
+    assert problem.slots[last].effect == "torque_offset"
+    np.testing.assert_array_equal(problem.derivative(theta, last), problem.residual(theta)[1][:, :, [last]])
+    assert problem.derivative(theta, last + 1).shape[2] == 0
