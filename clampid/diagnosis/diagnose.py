@@ -36,6 +36,8 @@ from experiments.plans.errors import PlanError
 
 __all__ = ["Diagnosis", "diagnose", "with_fits"]
 
+FLIPS = 199
+
 
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Shown):
@@ -85,7 +87,7 @@ def diagnose(
     campaigns: Campaign | Sequence[Campaign],
     *,
     seed: int = 0,
-    flips: int = 199,
+    flips: int = FLIPS,
     user_effects: Path | None = None,
     stages: Sequence[Stage] | None = None,
     plan_for: Sequence[str] | None = None,
@@ -115,9 +117,7 @@ def diagnose(
     EffectError
         There are fewer flips than the level of the test needs: nothing could be found to be missing.
     """
-    found = with_fits(
-        model, campaigns, seed=seed, flips=flips, user_effects=user_effects, stages=stages, plan_for=plan_for
-    )
+    found = _found(model, campaigns, user_effects, seed, flips, stages, plan_for)
     for part in found.stages.values():
         part.forget_fits()
     return found
@@ -125,16 +125,22 @@ def diagnose(
 
 @single_threaded
 def with_fits(
+    model: Model, campaigns: Campaign | Sequence[Campaign], *, seed: int = 0, user_effects: Path | None = None
+) -> Diagnosis:
+    """As :func:`diagnose`; each step remembers its fit, to be added without another one."""
+    return _found(model, campaigns, user_effects, seed)
+
+
+def _found(
     model: Model,
     campaigns: Campaign | Sequence[Campaign],
-    *,
-    seed: int = 0,
-    flips: int = 199,
-    user_effects: Path | None = None,
+    user_effects: Path | None,
+    seed: int,
+    flips: int = FLIPS,
     stages: Sequence[Stage] | None = None,
     plan_for: Sequence[str] | None = None,
 ) -> Diagnosis:
-    """The same, of which each step remembers its fit, to be added without another one."""
+    """The diagnosis of all stages that are asked for, with the fits of its steps."""
     refuse_few_flips(flips)
     opened = mending = on_campaign(model, campaigns, user_effects)
     several = len(opened.campaigns) > 1  # each has a controller's setting of its own

@@ -25,7 +25,7 @@ from clampid.fitting.accuracy import FOLDS, cross_validated
 from clampid.fitting.solve import solve
 from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
-from clampid.identification.model_on_campaign import on_campaign
+from clampid.identification.model_on_campaign import ModelOnCampaign, on_campaign
 from clampid.slots import Slot, Term
 from clampid.stages.fit_problem import parameter_of
 from experiments.campaign import Campaign
@@ -172,11 +172,15 @@ def test_a_column_of_next_to_nothing_is_absent(simulated: Callable[..., Campaign
     assert score(space_of(estimate), [faint])[0].state == "absent"
 
 
+def eccentric(simulated: Callable[..., Campaign]) -> ModelOnCampaign:
+    """A model of an arm with springs whose gear 2 is eccentric, which it lacks."""
+    campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
+    return on_campaign(identify(campaign, {"poses": ("geometry", "joint_compliance")}), campaign)
+
+
 def test_candidates_raising_the_held_out_error_are_refused_without_a_fit(simulated: Callable[..., Campaign]):
     """One of noise is not fitted; the true one is, from where a Gauss-Newton step leads."""
-    campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
-    model = identify(campaign, {"poses": ("geometry", "joint_compliance")})
-    opened = on_campaign(model, campaign)
+    opened = eccentric(simulated)
     fitted, fit = opened.refit("poses"), refits(opened)
     starts: list[dict[Slot, float]] = []
 
@@ -228,9 +232,7 @@ def test_a_step_that_goes_uphill_is_not_believed(simulated: Callable[..., Campai
 
 def test_correlated_candidates_that_do_not_lower_the_held_out_error_are_no_tie(simulated: Callable[..., Campaign]):
     """They are refused with their sizes; a true one among them makes it a tie."""
-    campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
-    model = identify(campaign, {"poses": ("geometry", "joint_compliance")})
-    opened = on_campaign(model, campaign)
+    opened = eccentric(simulated)
     fitted = opened.refit("poses")
     bench = bench_of(opened, fitted, refits(opened))
     held_out, scores = bench.held_out(fitted), bench.scores(fitted, 0)
@@ -247,8 +249,7 @@ def test_correlated_candidates_that_do_not_lower_the_held_out_error_are_no_tie(s
 
 
 def test_only_parameters_that_differ_clearly_from_zero_are_justified(simulated: Callable[..., Campaign]):
-    campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
-    opened = on_campaign(identify(campaign, {"poses": ("geometry", "joint_compliance")}), campaign)
+    opened = eccentric(simulated)
     fitted = opened.refit("poses")
     true, false = (Term("gear_eccentricity", place) for place in ("joint2", "joint4"))
     estimate = refits(opened)([*fitted.model.terms, true, false], fitted, {}).estimate
@@ -290,9 +291,7 @@ def test_a_step_from_a_fit_that_dropped_other_rows(simulated: Callable[..., Camp
 
 def test_what_was_refused_is_fitted_again_only_with_more_evidence(simulated: Callable[..., Campaign]):
     """Its outcome stays, with the errors of its own trial; it is listed with its present score."""
-    campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
-    model = identify(campaign, {"poses": ("geometry", "joint_compliance")})
-    opened = on_campaign(model, campaign)
+    opened = eccentric(simulated)
     fitted = opened.refit("poses")
     bench = bench_of(opened, fitted, refits(opened))
     held_out, scores = bench.held_out(fitted), bench.scores(fitted, 0)
