@@ -19,7 +19,7 @@ import numpy.typing as npt
 from clampid.chain.compiled import Blocks, compile_piece, pieces_pay
 from clampid.chain.lanes import Lanes
 
-__all__ = ["Piecewise"]
+__all__ = ["Piecewise", "runs_of"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

@@ -148,7 +148,7 @@ class Bench:
                 return replace(found, confusable=confusable_with(scores.named, found.best)), refused
             refused.append(found)
             if found.reason == NO_FALL:
-                earlier[label] = found.remembered
+                earlier[label] = replace(found, fitted=fitted, kept=[]).remembered  # its fit is as large as its rows
         return None, refused
 
     def _tried(

@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from clampid.chain.piecewise import runs_of
 from clampid.fitting.anisotropy import relative_axes
 from clampid.fitting.wander import course_of
 from clampid.stages.prewhitening import (
@@ -253,9 +254,11 @@ class Noise:
 
 def put_columns(out: Array, numbers: Integers, columns: Array) -> None:
     """``out[:, numbers] = columns``, numbers ascending: in runs, which takes a tenth of the time of single columns."""
-    for run in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(numbers) != 1) + 1):
-        if len(run):
-            out[:, numbers[run[0]] : numbers[run[-1]] + 1] = columns[:, run[0] : run[-1] + 1]
+    first = 0
+    for run in runs_of(numbers):
+        last = first + run.stop - run.start
+        out[:, run] = columns[:, first:last]
+        first = last
 
 
 def initial_noise(rows: Rows) -> Noise:

@@ -35,8 +35,8 @@ __all__ = ["derivative", "error", "moved", "residual", "torque_rows"]
 
 BLOCK_S = 2.0  # rows this close in time share their noise and are flipped together
 BLOCKS = 200  # at least, where a log is short: fewer cannot resolve a chance of 1 %
-TRANSPOSED_AT_ONCE = 128  # rows that the processor's cache holds
 BLOCK_ROWS = 12  # at least: the order of the noise's autoregression, which whitening takes out
+TRANSPOSED_AT_ONCE = 128  # rows that the processor's cache holds
 
 
 def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Array, Array]:
