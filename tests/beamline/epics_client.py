@@ -14,6 +14,7 @@ class Client:
     def __init__(self, prefix: str) -> None:
         self.prefix, self.context = prefix, Context(timeout=30)
         self.seen: dict[str, list[float]] = {}
+        self.kept: list[Any] = []  # caproto holds what it calls weakly
 
     def pv(self, name: str) -> Any:
         (found,) = self.context.get_pvs(self.prefix + name)
@@ -45,11 +46,15 @@ class Client:
         return [found.lower_ctrl_limit, found.upper_ctrl_limit]
 
     def watch(self, name: str) -> None:
-        """Note every value from now on."""
-        seen = self.seen.setdefault(name, [])
-        self.subscription = self.pv(name).subscribe()
-        self.heard = lambda sub, response: seen.append(float(response.data[0]))
-        self.subscription.add_callback(self.heard)
+        """Note every value from now on, the present one first; what was noted before is forgotten."""
+        seen = self.seen[name] = []
+        subscription = self.pv(name).subscribe()
+
+        def heard(_: Any, response: Any) -> None:
+            seen.append(float(response.data[0]))
+
+        self.kept += [subscription, heard]
+        subscription.add_callback(heard)
 
     def answer(self, word: str, *given: str) -> Any:
         match word:
