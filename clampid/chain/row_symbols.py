@@ -15,7 +15,7 @@ from clampid.effect import SIGNALS, STATIONS, Effect, EffectError, signal
 from clampid.roles import WEIGHTS, Role
 from clampid.slots import Layout, Slot
 
-__all__ = ["RowSymbols", "offer_friction_state", "offer_torque", "parameter_columns"]
+__all__ = ["RowSymbols", "load_of", "offer_friction_state", "offer_torque", "parameter_columns"]
 
 Array = npt.NDArray[np.float64]
 MOMENTS = ("base_moment", "transverse_moment", "link_moment", "link_force")
@@ -120,16 +120,21 @@ def offer_torque(row: RowSymbols, stage: StageChain, active: Sequence[Effect]) -
         if any("wrench" in effect.needs for effect in active):
             row.offered["wrench"] = row.recorded("wrench_map") @ torque
     elif any({"torque", "flank"} & set(effect.needs) for effect in active):
-        load = [e for e in active if "joint_torque" in e.acts and "torque" not in e.needs]
-        if stage.moving:  # friction acts on the load, not on itself
-            load = [e for e in load if not any(known.sided for known in map(signal, e.needs) if known)]
-        weight = row.recorded("gravity_torque")
-        if stage.resting:  # of the arm where it stands, not where it was commanded
-            weight = weight + row.recorded("sag_torque")
-        row.offered["torque"] = weight + row.total("joint_torque", load)
+        row.offered["torque"] = load_of(row, stage, active)
         on_load = [e for e in active if "joint_torque" in e.acts and "torque" in e.needs]
         if stage.resting and on_load:  # friction on a load holds against it, and winds up springs as any other does
             row.offered["torque"] = row.offered["torque"] + row.total("joint_torque", on_load)
+
+
+def load_of(row: RowSymbols, stage: StageChain, active: Sequence[Effect]) -> Any:
+    """The torque ``(n,)`` that each joint bears outside of clamps, before effects that act on it."""
+    load = [e for e in active if "joint_torque" in e.acts and "torque" not in e.needs]
+    if stage.moving:  # friction acts on the load, not on itself
+        load = [e for e in load if not any(known.sided for known in map(signal, e.needs) if known)]
+    weight = row.recorded("gravity_torque")
+    if stage.resting:  # of the arm where it stands, not where it was commanded
+        weight = weight + row.recorded("sag_torque")
+    return weight + row.total("joint_torque", load)
 
 
 def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:

@@ -38,7 +38,7 @@ def probes(estimate: Estimate) -> list[Candidate]:
     if rows.kind.points:
         return _pose_probes(estimate)
     if rows.kind.moving:
-        return _motor_probes(estimate, _log_covariates(rows))
+        return _motor_probes(estimate, _log_covariates(rows, estimate.problem.loads(estimate.theta)))
     return _motor_probes(estimate, _sweep_covariates(rows)) if rows.kind.solved else []
 
 
@@ -195,11 +195,12 @@ def _periodic(rows: Rows, levers: Levers) -> Candidate | None:
     )
 
 
-def _log_covariates(rows: Rows) -> list[list[Covariate]]:
+def _log_covariates(rows: Rows, borne: Array) -> list[list[Covariate]]:
+    """Covariates of each motor's torque. ``borne`` ``(N, n)``, Nm: what the joints bear, as effects see it."""
     s, n = rows.signals, rows.robot.n
     T = np.asarray(rows.robot.transmission)
     elapsed, around = _scaled(s["elapsed"]), _surroundings(rows)
-    loads = s["gravity_torque"] @ T.T
+    loads = borne @ T.T
     sizes = np.abs(loads) / np.maximum(loads.std(axis=0), 1e-300)
     waves = [_harmonics(s["q"][:, k], 1) for k in range(n)]
     pairs: list[Covariate] = []
@@ -250,8 +251,8 @@ def _log_covariates(rows: Rows) -> list[list[Covariate]]:
                 own.append((f"motion times q{other}", (f"qd{name}", f"q{other}"), sign[:, None] * waves[k]))
                 dragged = s["motor_motion"][:, k, None] * waves[k]
                 own.append((f"motion of motor {other} times q{other}", (f"qd{other}", f"q{other}"), dragged))
-                borne = moved * sizes[:, k, None]
-                own.append((f"motion times load of motor {other}", (f"qd{name}", f"tau{other}"), borne))
+                pressed = moved * sizes[:, k, None]
+                own.append((f"motion times load of motor {other}", (f"qd{name}", f"tau{other}"), pressed))
         own += pairs
         out.append(own)
     return out

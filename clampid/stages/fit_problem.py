@@ -10,6 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from clampid.chain.chain import Chain, build_chain
+from clampid.chain.loads import joint_loads
 from clampid.effect import WEAK_SPREAD, Effect, Parameter, Per, Stage
 from clampid.role_slots import numbers_of_role
 from clampid.roles import Role
@@ -94,6 +95,12 @@ class FitProblem:
         """In poses, the derivative of the prediction by the joint angles ``(N, m, n)``, m/rad and rad/rad."""
         deviations = poses.evaluate(self.rows, self.chain, theta[: len(self.slots)])
         return poses.by_station(self.rows, deviations)[1][:, :, : self.rows.robot.n]
+
+    def loads(self, theta: Array) -> Array:
+        """Torques ``(N, n)``, Nm, that joints of an arm in motion bear, without friction."""
+        rows = self.rows
+        constants = poses.constants_of(rows.robot)
+        return joint_loads(self.chain, self.effects, rows.layout, constants, theta[: len(self.slots)], rows.signals)
 
     def with_rows(self, rows: Rows) -> FitProblem:
         """The same effects on other rows of the same layout."""
