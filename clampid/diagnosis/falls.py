@@ -64,7 +64,7 @@ class FallTest:
         p = held_out.p_above(new, new.noise, self.seed)
         if p > 0.5 * HELD_OUT_RATE:
             if self.verification is not None:
-                p = either_p(p, cross_fitted_fall(without, s, self.seed).p)
+                p = either_p(p, cross_fitted_fall(without, at_fit(without, s) if self.wander else s, self.seed).p)
             elif self._wanders(without):
                 level = known_to_wander(without, self.wander, self.one_level)
                 p = either_p(p, cross_fitted_fall(level, at_fit(level, s), self.seed).p)

@@ -26,6 +26,7 @@ from clampid.diagnosis.entries import variables_of
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p
 from clampid.diagnosis.noise_beside import with_equal_weights
 from clampid.diagnosis.probes import probes
+from clampid.diagnosis.wandering import known_to_wander
 from clampid.display import error_text
 from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
@@ -81,16 +82,21 @@ class Remains:
 
 
 def remains_of(
-    scores: CandidateScores, estimate: Estimate, held_out: HeldOut, verification: Rows | None, seed: int
+    scores: CandidateScores,
+    estimate: Estimate,
+    held_out: HeldOut,
+    verification: Rows | None,
+    seed: int,
+    one_level: bool = False,
 ) -> Remains | None:
     """The structure of the best probe, if it is significant and lowers the held-out error; else None.
 
     Stability over five parts is not required: with errors of several joints each part of the rows may show another
-    joint's share best.
+    joint's share best. ``one_level``: of readings that wander, see :class:`clampid.diagnosis.falls.FallTest`.
     """
     if not scores.fires or scores.probe is None:
         return None
-    fall = _fall(scores.probe, estimate, verification, seed)
+    fall = _fall(scores.probe, scores.wander, estimate, verification, seed, one_level)
     if fall.p > HELD_OUT_RATE:
         return None
     where, poses = scores.probe.candidate.places, estimate.problem.kind.points
@@ -119,18 +125,32 @@ def _per_motor(rows: Rows, where: tuple[str, ...]) -> float:
     return sum(motors.values()) / max(sum(motors[place] for place in where), 1)
 
 
-def _fall(probe: Scored, estimate: Estimate, verification: Rows | None, seed: int) -> Fall:
+def _fall(
+    probe: Scored, wander: float, estimate: Estimate, verification: Rows | None, seed: int, one_level: bool
+) -> Fall:
     """Fall of the held-out error by a probe: as for names, on the verification table or on the poses.
 
     If the table has too few visits to decide, the poses may, at the other half of the false-alarm rate; the error of
-    the table must fall in any case. A table measured later does not test errors that vary with time.
+    the table must fall in any case. A table measured later does not test errors that vary with time. Of a log whose
+    readings wander, half of the rate is for errors with the wandering level taken out.
     """
     if verification is None or probe.candidate.depends_on == ("time",):
-        return cross_fitted_fall(estimate, probe, seed)
+        fall = _fall_at(estimate, probe, seed) if wander else cross_fitted_fall(estimate, probe, seed)
+        if not wander or estimate.problem.kind.points or fall.p <= 0.5 * HELD_OUT_RATE:
+            return fall
+        level = known_to_wander(estimate, wander, one_level)
+        return replace(fall, p=either_p(fall.p, _fall_at(level, probe, seed).p))
     fall = probe_held_out_fall(estimate, verification, probe.candidate, seed)
     if fall.p <= 0.5 * HELD_OUT_RATE or fall.share <= 0.0:
         return fall
-    return replace(fall, p=either_p(fall.p, cross_fitted_fall(estimate, probe, seed).p))
+    crossed = _fall_at(estimate, probe, seed) if wander else cross_fitted_fall(estimate, probe, seed)
+    return replace(fall, p=either_p(fall.p, crossed.p))
+
+
+def _fall_at(estimate: Estimate, probe: Scored, seed: int) -> Fall:
+    """Fall of an estimate's errors by a probe that was scored with another noise."""
+    own = next(p for p in probes(estimate) if p.label == probe.candidate.label)
+    return cross_fitted_fall(estimate, replace(probe, candidate=replace(own, prior=probe.candidate.prior)), seed)
 
 
 def _plain_fall(probe: Scored, estimate: Estimate, seed: int) -> Fall:
@@ -138,9 +158,7 @@ def _plain_fall(probe: Scored, estimate: Estimate, seed: int) -> Fall:
 
     A pattern has a size in Nm. Whitened, one that is as slow as the noise is small, and a quick one is large.
     """
-    plain = with_equal_weights(estimate)
-    own = next(p for p in probes(plain) if p.label == probe.candidate.label)
-    return cross_fitted_fall(plain, replace(probe, candidate=own), seed)
+    return _fall_at(with_equal_weights(estimate), probe, seed)
 
 
 def above_the_floor(held_out: HeldOut, rate: float) -> bool:

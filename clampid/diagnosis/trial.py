@@ -112,7 +112,7 @@ class Bench:
 
     def alone(self, fitted: FittedStage, s: Scored) -> float | None:
         """Held-out rms that a candidate would reach, in the stage's unit, estimated without a fit."""
-        estimate = linear_refit(fitted.estimate, s)
+        estimate = linear_refit(fitted.estimate, at_fit(fitted.estimate, s))
         if estimate is None:
             return None
         return held_out_of(estimate, self.verification, self.floor, self.seed, self.block, self.folds).rms
@@ -165,7 +165,7 @@ class Bench:
             best, rivals = known, []
         if rivals:
             return self._undecided(simplest_of(scores.named, best), rivals, scores, fitted, held_out)
-        step = step_towards(fitted.estimate, best)
+        step = _step(best, scores, fitted)
         if step is not None and step.falls and step.linear and best.assumed <= MOSTLY and self._plain(best):
             new = held_out_of(step.near, self.verification, self.floor, self.seed, self.block, self.folds)
             p_held_out = held_out.p_above(new, new.noise, self.seed)
@@ -173,7 +173,7 @@ class Bench:
                 return Tried(best, scores, fitted, [], new, p_held_out, 0.0, NO_FALL)
         # Scores only know shapes on a grid, so that which of several variants it is shows in their fits.
         variants: list[tuple[Scored, Step | None]] = [
-            (s, step_towards(fitted.estimate, s)) for s in variants_of(scores.named, best)
+            (s, _step(s, scores, fitted)) for s in variants_of(scores.named, best)
         ]
         others = [(s, own) for s, own in variants if not _needless(s, own, best, step)]
         if known is None:
@@ -191,7 +191,7 @@ class Bench:
         """
         refusal: Tried | None = None
         for s in (best, *rivals):
-            step = step_towards(fitted.estimate, s)
+            step = _step(s, scores, fitted)
             if step is not None and step.falls and step.linear and s.assumed <= MOSTLY and self._plain(s):
                 trial, kept = fitted, list[Term]()
                 new = held_out_of(step.near, self.verification, self.floor, self.seed, self.block)
@@ -273,7 +273,7 @@ class Bench:
     ) -> list[tuple[Scored, Step]]:
         """Correlated candidates of other families if their score, or that of the best, is unreliable: fits decide."""
         others = of_other_families(scores.named, best, {t.best.candidate.label for t in refused})
-        steps = [(s, step_towards(fitted.estimate, s)) for s in others]
+        steps = [(s, _step(s, scores, fitted)) for s in others]
         straight = step is None or step.linear
         curved = [(s, own) for s, own in steps if own is not None and not (straight and own.linear)]
         return [(s, own) for s, own in curved if own.may_reach(step)]
@@ -376,3 +376,8 @@ def _needless(s: Scored, own: Step | None, best: Scored, step: Step | None) -> b
         for one, near in ((s, own), (best, step))
     )
     return scores_decide and s.freedom > best.freedom and s.bic < best.bic
+
+
+def _step(s: Scored, scores: CandidateScores, fitted: FittedStage) -> Step | None:
+    """A step towards a candidate, whose columns are whitened as the fit is and not as the scores are."""
+    return step_towards(fitted.estimate, at_fit(fitted.estimate, s) if scores.wander else s)

@@ -16,7 +16,9 @@ from clampid.diagnosis.candidate_scores import rivals_of
 from clampid.diagnosis.linear_refit import at_fit, step_towards
 from clampid.diagnosis.pruning import pays
 from clampid.diagnosis.remains import CLEARLY, above_the_floor
+from clampid.diagnosis.trial import _step
 from clampid.diagnosis.tried import Tried, Undecided
+from clampid.diagnosis.wandering import whitened_by
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.columns import Columns
 from clampid.evidence.score import Scored, canonical, score
@@ -203,6 +205,29 @@ def test_candidates_raising_the_held_out_error_are_refused_without_a_fit(simulat
     for slot in true.candidate.slots:
         found = tried.fitted.model.values()[slot]
         assert abs(starts[0][slot] - found) < 0.3 * abs(found) + 0.01 * size[tried.fitted.model.slots.index(slot)]
+
+
+def test_a_candidate_scored_beside_wandering_readings_is_stepped_to_in_the_noise_of_the_fit(
+    simulated: Callable[..., Campaign],
+):
+    """Its columns as another noise whitens them do not belong to the fit's residual; a step by them promises less."""
+    opened = eccentric(simulated)
+    fitted = opened.refit("poses")
+    bench = bench_of(opened, fitted, refits(opened))
+    estimate = fitted.estimate
+    wandering = whitened_by(estimate, replace(estimate.noise, wander=(0.05,) * estimate.residual.shape[1]))
+    space = space_of(wandering)
+    named = score(space, named_candidates(wandering, catalogue(), set()))
+    (other,) = (s for s in named if s.candidate.label == "gear_eccentricity@joint2")
+    (same,) = (s for s in bench.scores(fitted, 0).named if s.candidate.label == other.candidate.label)
+    assert bench.alone(fitted, other) == pytest.approx(bench.alone(fitted, same), rel=1e-6)
+    beside = replace(bench.scores(fitted, 0), space=space, named=named, wander=0.05)
+    step, known, bare = _step(other, beside, fitted), step_towards(estimate, same), step_towards(estimate, other)
+    assert step is not None
+    assert known is not None
+    assert bare is not None
+    assert (step.promised, step.kept) == pytest.approx((known.promised, known.kept), rel=1e-6)
+    assert abs(bare.promised - known.promised) > 0.02 * known.promised
 
 
 def test_a_step_that_goes_uphill_is_not_believed(simulated: Callable[..., Campaign]):
