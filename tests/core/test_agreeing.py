@@ -119,8 +119,13 @@ def test_a_damaged_tooth_that_is_named_can_be_added(simulated):
     assert found.stages["poses"].after.heldout_rms < 0.6 * found.stages["poses"].before.heldout_rms
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("joint", "seed"), [("joint1", 4), ("joint2", 2), ("joint4", 3), ("joint5", 5)])
+@pytest.mark.parametrize(
+    ("joint", "seed"),
+    [
+        pytest.param("joint1", 4, marks=pytest.mark.slow),
+        *(pytest.param(f"joint{j}", seed, marks=pytest.mark.study) for j, seed in ((2, 2), (4, 3), (5, 5))),
+    ],
+)
 def test_a_damaged_tooth_at_other_joints(simulated, joint: str, seed: int):
     check(simulated(seed=seed, poses=200, tables=TABLES, hidden=(f"damaged_tooth@{joint}",)), joint)
 

@@ -111,16 +111,19 @@ def test_a_faulty_disc_is_named_at_every_joint(simulated: Simulated, seed: int):
 
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(
-    ("robot", "first"),
+    ("robot", "first", "robots", "most"),
     [
-        pytest.param("kuka_kr20_r1810", 0, marks=pytest.mark.slow),
-        pytest.param("ur10", 100, marks=pytest.mark.study),
+        pytest.param("kuka_kr20_r1810", 0, 6, 1, marks=pytest.mark.slow),
+        pytest.param("kuka_kr20_r1810", 0, 20, 3, marks=pytest.mark.study),
+        pytest.param("ur10", 100, 20, 3, marks=pytest.mark.study),
     ],
 )
-def test_without_a_faulty_disc_the_probe_is_silent(simulated: Simulated, robot: str, first: int):
-    """Twenty robots of two kinds each: at a rate of 2.5 % more than three alarms have a chance of 0.2 %."""
+def test_without_a_faulty_disc_the_probe_is_silent(
+    simulated: Simulated, robot: str, first: int, robots: int, most: int
+):
+    """At a rate of 1 % more than one alarm of six has a chance of 0.1 %, and more than three of twenty less."""
     alarms = 0
-    for seed in range(first, first + 20):
+    for seed in range(first, first + robots):
         campaign = simulated(seed=seed, poses=100, tables=("poses",), robot=robot)
         model = identify(campaign, STANDARD)
         estimate = on_campaign(model, campaign).refit("poses").estimate
@@ -128,7 +131,7 @@ def test_without_a_faulty_disc_the_probe_is_silent(simulated: Simulated, robot: 
         scored = score(space, probes(estimate))
         probe = next(s for s in scored if s.candidate.name == JOINT_ANGLE_PERIODIC)
         alarms += flip_maxima(space, scored, 199, seed).p_familywise(probe.log_p) <= DICTIONARY_FALSE_ALARMS
-    assert alarms <= 3
+    assert alarms <= most
 
 
 def test_products_are_the_columns_that_they_stand_for():

@@ -16,8 +16,9 @@ Simulated = Callable[..., Campaign]
 STANDARD = ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(
+    "seed", [pytest.param(2, marks=pytest.mark.slow), *(pytest.param(s, marks=pytest.mark.study) for s in (1, 3))]
+)
 def test_what_is_beside_look_alikes_is_named(simulated: Simulated, seed: int) -> None:
     """A tilting base, joint 1's bearing and link 1 cannot be told apart; a faulty gear beside them is seen, too.
 

@@ -145,8 +145,13 @@ def test_a_level_is_taken_out_of_what_an_autoregression_learned() -> None:
     np.testing.assert_allclose(found.sigma, 2.0 * np.sqrt(0.7), rtol=0.005)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("robot", "mounting", "seed"), [("seven7", "floor", 2326), ("small6", "ceiling", 3313)])
+@pytest.mark.parametrize(
+    ("robot", "mounting", "seed"),
+    [
+        pytest.param("seven7", "floor", 2326, marks=pytest.mark.slow),
+        pytest.param("small6", "ceiling", 3313, marks=pytest.mark.study),
+    ],
+)
 def test_a_walk_seen_move_by_move_is_no_offset(tmp_path: Path, robot: str, mounting: str, seed: int) -> None:
     """The autoregression took the level for new at each move; an offset's score was 2.3 times what chance gives.
 
