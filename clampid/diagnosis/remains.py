@@ -8,7 +8,8 @@ degrees of freedom of both), or if the probe lowers it by at least the size that
 The noise floor of poses comes from repeated poses and from the instrument, independently of any model: a held-out error
 at the floor contains no error that matters. The floor of a log comes from the fit's own residual and may contain
 missing effects. So for logs the size of the probe is compared with the noise of its motor: it is a note if it is
-significantly smaller (one-sided, :data:`CLEARLY`).
+significantly smaller (one-sided, :data:`CLEARLY`). Where the readings of a log wander, that alone keeps the held-out
+error above the floor; so only the size decides.
 """
 
 from __future__ import annotations
@@ -110,8 +111,8 @@ def remains_of(
         large = size >= MATTERS * held_out.floor.norm > 0.0 and held_out.rms > held_out.floor.norm
     else:
         large = size_of(explained.share + float(stats.norm.isf(CLEARLY)) * explained.error) >= MATTERS
-    found = variables_of(scores)
-    return Remains(tuple(found), where, size, fall.p, large or above_the_floor(held_out, CLEARLY))
+    found, wanders = variables_of(scores), scores.wander > 0.0 and not poses
+    return Remains(tuple(found), where, size, fall.p, large or (not wanders and above_the_floor(held_out, CLEARLY)))
 
 
 def _per_motor(rows: Rows, where: tuple[str, ...]) -> float:
