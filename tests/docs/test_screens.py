@@ -25,6 +25,7 @@ BLOCK = re.compile(r"^```console\n\$ (?P<command>.*)\n(?P<text>(?:.*\n)*?)```$",
 REAL = ROOT.parent / "shared" / "real" / "ur10_series_d"
 SCREENS = [(match["command"], match["text"]) for match in BLOCK.finditer(PAGE.read_text(encoding="utf-8"))]
 VERBS = ("check", "identify", "compare", "diagnose", "auto", "ik")
+LONGEST = ("diagnose", "auto")  # of the real robot's poses; what they find is tested elsewhere
 
 
 def commands(text: str) -> list[str]:
@@ -129,7 +130,7 @@ def test_every_next_command_of_the_simulated_campaign_runs(
 @pytest.mark.timeout(1800)
 @pytest.mark.skipif(not REAL.is_dir(), reason="the real robot's campaign is not here")
 @pytest.mark.parametrize(
-    "verb", [pytest.param(v, marks=pytest.mark.study if v == "auto" else pytest.mark.slow) for v in VERBS]
+    "verb", [pytest.param(v, marks=pytest.mark.study if v in LONGEST else pytest.mark.slow) for v in VERBS]
 )
 def test_what_is_printed_of_the_real_robot_is_one_screen(verb: str, recorded: RecordedRuns, tmp_path: Path) -> None:
     folder = tmp_path / "folder"

@@ -40,8 +40,10 @@ def test_rocking_that_begins_in_sweep_3_is_named_before_sweep_5(
     assert 0.4 * np.linalg.norm(TILT) < named.size < 3 * np.linalg.norm(TILT)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("stiffer", "least"), [(1.0, 17), (1.6, 19)])
+@pytest.mark.parametrize(
+    ("stiffer", "least"),
+    [pytest.param(1.0, 17, marks=pytest.mark.slow), pytest.param(1.6, 19, marks=pytest.mark.study)],
+)
 def test_of_twenty_robots_all_are_named_whose_block_tilts(
     cell: Cell, limits: Limits, stiffer: float, least: int
 ) -> None:
@@ -54,9 +56,10 @@ def test_of_twenty_robots_all_are_named_whose_block_tilts(
     assert sum(named) >= least
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("block", [0.0, 1e-7])
-@pytest.mark.parametrize("stiffer", [1.0, 1.6])
+@pytest.mark.parametrize(
+    "stiffer", [pytest.param(1.0, marks=pytest.mark.slow), pytest.param(1.6, marks=pytest.mark.study)]
+)
 def test_a_clamp_that_holds_or_yields_has_not_come_loose(
     cell: Cell, limits: Limits, block: float, stiffer: float
 ) -> None:

@@ -47,9 +47,10 @@ def test_a_tenth_of_a_millimetre_is_found_with_stiffer_springs(cell: Cell, limit
     assert find_shift(rows, cell.robot, plan.stiffness / 1.6, flange_jacobian(cell.robot, CLAMPED)) is None
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("block", [0.0, 1e-7])
-@pytest.mark.parametrize("stiffer", [1.0, 1.6])
+@pytest.mark.parametrize(
+    "stiffer", [pytest.param(1.0, marks=pytest.mark.slow), pytest.param(1.6, marks=pytest.mark.study)]
+)
 def test_a_clamp_that_holds_or_yields_does_not_rock(cell: Cell, limits: Limits, block: float, stiffer: float) -> None:
     """Twenty runs of four sweeps each; one false alarm in a thousand runs is stated."""
     plan = clamping_plan(cell, limits, [(1, joint, CLAMPED) for joint in (1, 2, 0, 4)])
