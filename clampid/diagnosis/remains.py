@@ -97,7 +97,7 @@ def remains_of(
     """
     if not scores.fires or scores.probe is None:
         return None
-    fall = _fall(scores, scores.probe, estimate, verification, seed, one_level)
+    fall = _fall(scores.probe, scores.wander, estimate, verification, seed, one_level)
     if fall.p > HELD_OUT_RATE:
         return None
     where, poses = scores.probe.candidate.places, estimate.problem.kind.points
@@ -127,7 +127,7 @@ def _per_motor(rows: Rows, where: tuple[str, ...]) -> float:
 
 
 def _fall(
-    scores: CandidateScores, probe: Scored, estimate: Estimate, verification: Rows | None, seed: int, one_level: bool
+    probe: Scored, wander: float, estimate: Estimate, verification: Rows | None, seed: int, one_level: bool
 ) -> Fall:
     """Fall of the held-out error by a probe: as for names, on the verification table or on the poses.
 
@@ -135,20 +135,17 @@ def _fall(
     the table must fall in any case. A table measured later does not test errors that vary with time. Of a log whose
     readings wander, half of the rate is for errors with the wandering level taken out.
     """
-
-    def crossed() -> Fall:
-        return (cross_fitted_fall if scores.noise_of_fit else _fall_at)(estimate, probe, seed)
-
     if verification is None or probe.candidate.depends_on == ("time",):
-        fall = crossed()
-        if not scores.wander or estimate.problem.kind.points or fall.p <= 0.5 * HELD_OUT_RATE:
+        fall = _fall_at(estimate, probe, seed) if wander else cross_fitted_fall(estimate, probe, seed)
+        if not wander or estimate.problem.kind.points or fall.p <= 0.5 * HELD_OUT_RATE:
             return fall
-        level = known_to_wander(estimate, scores.wander, one_level)
+        level = known_to_wander(estimate, wander, one_level)
         return replace(fall, p=either_p(fall.p, _fall_at(level, probe, seed).p))
     fall = probe_held_out_fall(estimate, verification, probe.candidate, seed)
     if fall.p <= 0.5 * HELD_OUT_RATE or fall.share <= 0.0:
         return fall
-    return replace(fall, p=either_p(fall.p, crossed().p))
+    crossed = _fall_at(estimate, probe, seed) if wander else cross_fitted_fall(estimate, probe, seed)
+    return replace(fall, p=either_p(fall.p, crossed.p))
 
 
 def _fall_at(estimate: Estimate, probe: Scored, seed: int) -> Fall:

@@ -17,7 +17,7 @@ from clampid.diagnosis.candidate_scores import (
 )
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.folds import stability_folds
-from clampid.diagnosis.noise_beside import level_changes, with_noise_beside, with_noise_beside_levels
+from clampid.diagnosis.noise_beside import with_noise_beside
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.wandering import whitened_by, with_wander
 from clampid.effect import Effect
@@ -52,8 +52,7 @@ def scores_of(
     """Score both dictionaries on a fit's residual, with their null distributions.
 
     If readings wander in addition to the significant candidates, all are scored again with wandering noise
-    (:mod:`clampid.diagnosis.wandering`). If they have a constant error instead, all are scored again with the noise
-    beside it.
+    (:mod:`clampid.diagnosis.wandering`).
 
     Parameters
     ----------
@@ -69,22 +68,18 @@ def scores_of(
     known = Derivatives()
     found = _scores_of(estimate, effects, flips, seed, granted, block, known)
     wandering = with_wander(estimate, found.clearest, wander)
-    if wandering is not None and estimate.noise.autocorrelations:  # learned from what wanders, too
+    if wandering is None:
+        return found
+    if estimate.noise.autocorrelations:  # learned from what wanders, too
         short = whitened_by(estimate, estimate.noise.of_short_memory)
         clearest = _scores_of(short, effects, flips, seed, granted, block, known).clearest
         wandering = with_wander(short, clearest, wander) or wandering
-    other = wandering or with_noise_beside_levels(estimate)
-    if other is None:
-        return found
     # What the fit absorbs, but for rounding and for noise in its columns (a scale, of measured positions), it absorbs.
     shown = {s.candidate.label for s in found.named if s.freedom}
-    if wandering is not None:
-        del found  # as large as its rows and all that is active
-    again = _scores_of(other, effects, flips, seed, granted, block, known)
-    if wandering is None and level_changes(other, [*again.clearest, *again.standing_out()]):
-        return found
+    del found  # as large as its rows and all that is active
+    again = _scores_of(wandering, effects, flips, seed, granted, block, known)
     named = [s if s.candidate.label in shown else replace(s, state="absorbed") for s in again.named]
-    return replace(again, named=named, wander=max(other.noise.wander, default=0.0), noise_of_fit=False)
+    return replace(again, named=named, wander=max(wandering.noise.wander))
 
 
 class _Probed(NamedTuple):

@@ -380,4 +380,4 @@ def _needless(s: Scored, own: Step | None, best: Scored, step: Step | None) -> b
 
 def _step(s: Scored, scores: CandidateScores, fitted: FittedStage) -> Step | None:
     """A step towards a candidate, whose columns are whitened as the fit is and not as the scores are."""
-    return step_towards(fitted.estimate, s if scores.noise_of_fit else at_fit(fitted.estimate, s))
+    return step_towards(fitted.estimate, at_fit(fitted.estimate, s) if scores.wander else s)

@@ -9,14 +9,7 @@ import numpy as np
 import pytest
 
 from clampid.diagnosis.confirm import cross_fitted_fall
-from clampid.diagnosis.noise_beside import (
-    _level_errors,
-    _limit,
-    level_changes,
-    with_equal_weights,
-    with_noise_beside,
-    with_noise_beside_levels,
-)
+from clampid.diagnosis.noise_beside import with_equal_weights, with_noise_beside
 from clampid.diagnosis.probes import probes
 from clampid.evidence.score import Flips, Scored, score
 from clampid.evidence.space import space_of
@@ -87,33 +80,3 @@ def test_the_size_of_what_is_left_is_that_in_the_torque(lacking: Estimate) -> No
     size = np.sqrt(fall.share * motors.sum() / motors[MOTOR])
     true = SIZE / np.sqrt(1.0 + SIZE**2)  # in units of all that is left of this motor
     assert 0.5 * true < size < 1.1 * true  # a part of it looks like weight, and is taken for it
-
-
-def with_error(clean: Estimate, error: np.ndarray) -> Estimate:
-    """The fit of the same log with an error of one motor's torque ``(N,)``, in units of its noise."""
-    rows = clean.problem.rows
-    measured = rows.measured.copy()
-    measured[:, MOTOR] += clean.noise.sigma[:, MOTOR] * error
-    return fit(clean.problem.with_rows(replace(rows, measured=measured)))
-
-
-def test_a_constant_error_is_no_noise(clean: Estimate) -> None:
-    """An offset of 1.5 standard deviations correlates the residual at all lags by two thirds."""
-    lacking = with_error(clean, np.full(len(clean.residual), 1.5))
-    assert lacking.noise.autocorrelations[MOTOR][12] > 0.5
-    found = with_noise_beside_levels(lacking)
-    assert found is not None
-    true = clean.noise.autocorrelations[MOTOR][12]
-    assert found.noise.autocorrelations[MOTOR][12] == pytest.approx(true, abs=0.1)
-    assert not level_changes(found, [])
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_a_level_that_walks_is_noise(clean: Estimate, seed: int) -> None:
-    steps = 0.05 * np.random.default_rng(seed).standard_normal(len(clean.residual))
-    found = with_noise_beside_levels(with_error(clean, np.cumsum(steps)))
-    assert found is None or level_changes(found, []) or _level_errors(found)[MOTOR] <= _limit(found)
-
-
-def test_without_an_error_of_the_readings_their_noise_stays_as_it_was(clean: Estimate) -> None:
-    assert with_noise_beside_levels(clean) is None
