@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from clampid.diagnosis.confirm import cross_fitted_fall, event_p, terms_p
+from clampid.diagnosis.confirm import Fall, cross_fitted_fall, event_p, probe_held_out_fall, terms_p
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p
 from clampid.diagnosis.linear_refit import at_fit
 from clampid.diagnosis.pruning import pays
@@ -64,10 +64,9 @@ class FallTest:
         p = held_out.p_above(new, new.noise, self.seed)
         if p > 0.5 * HELD_OUT_RATE:
             if self.verification is not None:
-                p = either_p(p, cross_fitted_fall(without, at_fit(without, s) if self.wander else s, self.seed).p)
+                p = either_p(p, self._crossed(without, s).p)
             elif self._wanders(without):
-                level = known_to_wander(without, self.wander, self.one_level)
-                p = either_p(p, cross_fitted_fall(level, at_fit(level, s), self.seed).p)
+                p = self._either_without_level(p, without, s)
         return p, p <= HELD_OUT_RATE and held_out.exceed(new)
 
     def of_fit(
@@ -97,6 +96,30 @@ class FallTest:
         if p <= HELD_OUT_RATE and held_out.exceed(new):
             return p, True
         return p, best.assumed > MOSTLY and not raises and bool(kept) and pays(trial, kept)
+
+    def of_probe(self, probe: Scored, estimate: Estimate) -> Fall:
+        """Fall of the held-out error by a probe: as for names.
+
+        The error of the table must fall in any case. A table measured later does not test errors that vary with time.
+        """
+        if self.verification is not None and probe.candidate.depends_on != ("time",):
+            fall = probe_held_out_fall(estimate, self.verification, probe.candidate, self.seed)
+            if fall.p <= 0.5 * HELD_OUT_RATE or fall.share <= 0.0:
+                return fall
+            return replace(fall, p=either_p(fall.p, self._crossed(estimate, probe).p))
+        fall = self._crossed(estimate, probe)
+        if fall.p <= 0.5 * HELD_OUT_RATE or not self._wanders(estimate):
+            return fall
+        return replace(fall, p=self._either_without_level(fall.p, estimate, probe))
+
+    def _crossed(self, estimate: Estimate, s: Scored) -> Fall:
+        """Fall of the errors as they are; a candidate was scored beside a level that wanders, if any does."""
+        return cross_fitted_fall(estimate, at_fit(estimate, s) if self.wander else s, self.seed)
+
+    def _either_without_level(self, p: float, estimate: Estimate, s: Scored) -> float:
+        """The p by the better of two tests: one that has been made, and one with the wandering level taken out."""
+        level = known_to_wander(estimate, self.wander, self.one_level)
+        return either_p(p, cross_fitted_fall(level, at_fit(level, s), self.seed).p)
 
     def _wanders(self, estimate: Estimate) -> bool:
         return self.wander > 0.0 and not estimate.problem.kind.points

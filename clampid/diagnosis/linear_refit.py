@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clampid.diagnosis.next_measurement import SAME
+from clampid.diagnosis.probes import probes
 from clampid.evidence.candidates import columns_of
 from clampid.evidence.columns import Columns
 from clampid.evidence.score import Scored
@@ -117,7 +118,13 @@ class Step:
 
 
 def at_fit(estimate: Estimate, s: Scored) -> Scored:
-    """A candidate scored at another fit, its columns evaluated at this one, which may drop other rows as outliers."""
+    """A candidate scored at another fit, its columns evaluated at this one.
+
+    This one may drop other rows as outliers, and its noise may be another, as if readings wander.
+    """
+    if not s.candidate.terms:
+        own = next(p for p in probes(estimate) if p.label == s.candidate.label)
+        return replace(s, candidate=replace(own, prior=s.candidate.prior))
     columns = columns_of(estimate, [s.candidate])
     return replace(s, candidate=replace(s.candidate, columns=Columns(((0, columns),), columns.shape[1])))
 

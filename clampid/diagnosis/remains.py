@@ -14,20 +14,20 @@ error above the floor; so only the size decides.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from clampid.diagnosis.candidate_scores import CandidateScores
-from clampid.diagnosis.confirm import Fall, cross_fitted_fall, probe_held_out_fall
+from clampid.diagnosis.confirm import Fall, cross_fitted_fall
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import variables_of
-from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p
+from clampid.diagnosis.falls import FallTest
+from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut
+from clampid.diagnosis.linear_refit import at_fit
 from clampid.diagnosis.noise_beside import with_equal_weights
-from clampid.diagnosis.probes import probes
-from clampid.diagnosis.wandering import known_to_wander
 from clampid.display import error_text
 from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
@@ -82,22 +82,15 @@ class Remains:
         )
 
 
-def remains_of(
-    scores: CandidateScores,
-    estimate: Estimate,
-    held_out: HeldOut,
-    verification: Rows | None,
-    seed: int,
-    one_level: bool = False,
-) -> Remains | None:
+def remains_of(scores: CandidateScores, estimate: Estimate, held_out: HeldOut, falls: FallTest) -> Remains | None:
     """The structure of the best probe, if it is significant and lowers the held-out error; else None.
 
     Stability over five parts is not required: with errors of several joints each part of the rows may show another
-    joint's share best. ``one_level``: of readings that wander, see :class:`clampid.diagnosis.falls.FallTest`.
+    joint's share best.
     """
     if not scores.fires or scores.probe is None:
         return None
-    fall = _fall(scores.probe, scores.wander, estimate, verification, seed, one_level)
+    fall = falls.of_probe(scores.probe, estimate)
     if fall.p > HELD_OUT_RATE:
         return None
     where, poses = scores.probe.candidate.places, estimate.problem.kind.points
@@ -105,7 +98,7 @@ def remains_of(
     def size_of(share: float) -> float:
         return float(np.sqrt(max(share, 0.0) * _per_motor(held_out.rows, where))) * held_out.rms
 
-    explained = fall if poses else _plain_fall(scores.probe, estimate, seed)
+    explained = fall if poses else _plain_fall(scores.probe, estimate, falls.seed)
     size = size_of(explained.share)
     if poses:
         large = size >= MATTERS * held_out.floor.norm > 0.0 and held_out.rms > held_out.floor.norm
@@ -126,40 +119,13 @@ def _per_motor(rows: Rows, where: tuple[str, ...]) -> float:
     return sum(motors.values()) / max(sum(motors[place] for place in where), 1)
 
 
-def _fall(
-    probe: Scored, wander: float, estimate: Estimate, verification: Rows | None, seed: int, one_level: bool
-) -> Fall:
-    """Fall of the held-out error by a probe: as for names, on the verification table or on the poses.
-
-    If the table has too few visits to decide, the poses may, at the other half of the false-alarm rate; the error of
-    the table must fall in any case. A table measured later does not test errors that vary with time. Of a log whose
-    readings wander, half of the rate is for errors with the wandering level taken out.
-    """
-    if verification is None or probe.candidate.depends_on == ("time",):
-        fall = _fall_at(estimate, probe, seed) if wander else cross_fitted_fall(estimate, probe, seed)
-        if not wander or estimate.problem.kind.points or fall.p <= 0.5 * HELD_OUT_RATE:
-            return fall
-        level = known_to_wander(estimate, wander, one_level)
-        return replace(fall, p=either_p(fall.p, _fall_at(level, probe, seed).p))
-    fall = probe_held_out_fall(estimate, verification, probe.candidate, seed)
-    if fall.p <= 0.5 * HELD_OUT_RATE or fall.share <= 0.0:
-        return fall
-    crossed = _fall_at(estimate, probe, seed) if wander else cross_fitted_fall(estimate, probe, seed)
-    return replace(fall, p=either_p(fall.p, crossed.p))
-
-
-def _fall_at(estimate: Estimate, probe: Scored, seed: int) -> Fall:
-    """Fall of an estimate's errors by a probe that was scored with another noise."""
-    own = next(p for p in probes(estimate) if p.label == probe.candidate.label)
-    return cross_fitted_fall(estimate, replace(probe, candidate=replace(own, prior=probe.candidate.prior)), seed)
-
-
 def _plain_fall(probe: Scored, estimate: Estimate, seed: int) -> Fall:
     """Fall of the errors of a log by a probe, all rows of a motor with equal weights.
 
     A pattern has a size in Nm. Whitened, one that is as slow as the noise is small, and a quick one is large.
     """
-    return _fall_at(with_equal_weights(estimate), probe, seed)
+    plain = with_equal_weights(estimate)
+    return cross_fitted_fall(plain, at_fit(plain, probe), seed)
 
 
 def above_the_floor(held_out: HeldOut, rate: float) -> bool:

@@ -140,7 +140,7 @@ def _judge_what_is_left(result: StageDiagnosis, outcome: Searched, bench: Bench,
     points = estimate.problem.kind.points
     excess = held_out.rms > FAR_OFF * few * (bench.floor.most if points else 1.0)
     tested = None if bench.verification is None else held_out.rows
-    left = remains_of(scores, estimate, held_out, tested, bench.seed, bench.wander > 0.0)
+    left = remains_of(scores, estimate, held_out, replace(bench.falls(scores), verification=tested))
     if excess or (left is not None and left.matters):
         _unknown(result, scores, estimate, bench.seed)
     elif left is not None:

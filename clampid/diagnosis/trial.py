@@ -195,10 +195,10 @@ class Bench:
             if step is not None and step.falls and step.linear and s.assumed <= MOSTLY and self._plain(s):
                 trial, kept = fitted, list[Term]()
                 new = held_out_of(step.near, self.verification, self.floor, self.seed, self.block)
-                p, falls = self._fall(scores).of_step(held_out, new, s, fitted.estimate)
+                p, falls = self.falls(scores).of_step(held_out, new, s, fitted.estimate)
             else:  # one step is not the fit: only this decides
                 _, trial, kept, new = self._fitted_along(s, step, fitted, held_out)
-                p, falls = self._fall(scores).of_fit(s, trial.estimate, kept, held_out, new)
+                p, falls = self.falls(scores).of_fit(s, trial.estimate, kept, held_out, new)
             if falls:
                 return Undecided([best, *rivals], scores)
             refusal = refusal or Tried(s, scores, trial, kept, new, p, 0.0, NO_FALL)
@@ -208,7 +208,7 @@ class Bench:
         """Whether all held-out rows test it, wherever they are."""
         return tested_everywhere(self.effects[s.candidate.name])
 
-    def _fall(self, scores: CandidateScores) -> FallTest:
+    def falls(self, scores: CandidateScores) -> FallTest:
         """The test of a fall of the held-out error beside the noise of these scores."""
         return FallTest(self.effects, self.verification, self.seed, scores.wander, self.wander > 0.0)
 
@@ -221,7 +221,7 @@ class Bench:
         rows; or the best of the significant names without nearly all parts. Other names may explain more by chance.
         """
         (best, trial, kept, new), level = self._likeliest([fit for fit in fits if fit.kept] or fits)
-        p_held_out, falls = self._fall(scores).of_fit(best, trial.estimate, kept, held_out, new)
+        p_held_out, falls = self.falls(scores).of_fit(best, trial.estimate, kept, held_out, new)
         if not kept:
             return Tried(best, scores, trial, kept, new, p_held_out, 0.0, IMPOSSIBLE)
         if falls and level:
