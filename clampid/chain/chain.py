@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from clampid.chain.compiled import Rowwise
 from clampid.chain.piecewise import Piecewise
-from clampid.chain.row_symbols import RowSymbols, offer_friction_state, offer_torque, parameter_columns
+from clampid.chain.row_symbols import offer_friction_state, offer_torque, symbols_of
 from clampid.chain.stage_chain import StageChain
 from clampid.chain.steady import Steady, parted
 from clampid.effect import SIGNALS, Effect, EffectError
@@ -314,10 +314,7 @@ def build_chain(
             raise EffectError(
                 f"effect {effect.name} does not act in {stage.name}; it does in: {', '.join(effect.stages)}"
             )
-    theta = ca.SX.sym("theta", len(slots))
-    index = {slot: k for k, slot in enumerate(slots)}
-    parameters = {effect.name: parameter_columns(effect, layout, index, theta) for effect in active}
-    row = RowSymbols(layout, constants, parameters, active)
+    theta, row = symbols_of(slots, active, layout, constants)
     offer_friction_state(row, stage, active)
     offer_torque(row, stage, active)
     values, offsets, start = [], {}, 0

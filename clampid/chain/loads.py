@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from clampid.chain.chain import Chain, recorded
 from clampid.chain.compiled import Blocks
-from clampid.chain.row_symbols import RowSymbols, load_of, parameter_columns
+from clampid.chain.row_symbols import load_of, symbols_of
 from clampid.effect import Effect
 from clampid.slots import Layout
 
@@ -36,11 +36,8 @@ def joint_loads(
     effects, layout, constants
         As of :func:`clampid.chain.chain.build_chain`.
     """
-    symbols = ca.SX.sym("theta", len(chain.slots))
-    index = {slot: k for k, slot in enumerate(chain.slots)}
     active = [effects[name] for name in dict.fromkeys(slot.effect for slot in chain.slots)]
-    parameters = {effect.name: parameter_columns(effect, layout, index, symbols) for effect in active}
-    row = RowSymbols(layout, constants, parameters, active)
+    symbols, row = symbols_of(chain.slots, active, layout, constants)
     load = ca.densify(load_of(row, chain.stage, active))
     function = Blocks(ca.Function("loads", [symbols, ca.vertcat(*row.flats.values())], [load]))
     count = len(signals["gravity_torque"])

@@ -15,7 +15,7 @@ from clampid.effect import SIGNALS, STATIONS, Effect, EffectError, signal
 from clampid.roles import WEIGHTS, Role
 from clampid.slots import Layout, Slot
 
-__all__ = ["RowSymbols", "load_of", "offer_friction_state", "offer_torque", "parameter_columns"]
+__all__ = ["RowSymbols", "load_of", "offer_friction_state", "offer_torque", "symbols_of"]
 
 Array = npt.NDArray[np.float64]
 MOMENTS = ("base_moment", "transverse_moment", "link_moment", "link_force")
@@ -101,6 +101,15 @@ class RowSymbols:
                         f"effect {effect.name} does not fit a robot of {self.layout.joints} joints: {error}"
                     ) from error
         return value
+
+
+def symbols_of(
+    slots: Sequence[Slot], active: Sequence[Effect], layout: Layout, constants: Mapping[str, Array]
+) -> tuple[Any, RowSymbols]:
+    """The values of slots ``(P,)`` as symbols, and the row that the ``active`` effects, theirs, read with these."""
+    theta, index = ca.SX.sym("theta", len(slots)), {slot: k for k, slot in enumerate(slots)}
+    parameters = {effect.name: parameter_columns(effect, layout, index, theta) for effect in active}
+    return theta, RowSymbols(layout, constants, parameters, active)
 
 
 def offer_friction_state(row: RowSymbols, stage: StageChain, active: Sequence[Effect]) -> None:
