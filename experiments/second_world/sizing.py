@@ -29,6 +29,7 @@ __all__ = ["magnitude_for", "pose_std_m", "size_in_sigma"]
 
 _ROWS = 1500  # of a log, that a refit of the standard model is judged by
 _WHITE: SessionChoice = {"noise": "white"}
+_STEPS, _WITHIN = 12, 0.01  # a magnitude's steps towards a size, and how near to it is enough
 _NOTHING = 1e-5  # sigma: what rounding may leave of an effect that is absorbed
 
 
@@ -209,17 +210,24 @@ def magnitude_for(
     Returns
     -------
     float
-        For `measure`; within 1 % of the size, unless the effect is far from proportional.
+        For `measure`; within 1 % of the size.
+
+    Raises
+    ------
+    ValueError
+        The effect changes nothing, or no magnitude with this size was found.
     """
     table = table or HIDDEN[name].tables[0]
     session = open_session(robot, **(_WHITE | chosen))
     size_of = _SIZERS[table](session, beyond_standard)
     magnitude = 1.0
-    for _ in range(4):
+    for _ in range(_STEPS):
         size = size_of([active for _, _, active in activate(session, [(name, where, magnitude)])])
         if size < _NOTHING:
             raise ValueError(f"{name} at {where}: it changes nothing in {table} of this robot and program")
+        if abs(size / sigma - 1) < _WITHIN:
+            return magnitude
         magnitude *= sigma / size
-        if abs(size / sigma - 1) < 0.005:
-            break
-    return magnitude
+    raise ValueError(
+        f"{name} at {where}: no magnitude with {sigma:g} sigma in {table} was found; the last had {size:g}"
+    )

@@ -130,3 +130,13 @@ def test_wrong_names_are_told_with_what_exists():
         magnitude_for(
             draw_robot("uncoupled6", 3, compliance=False, backlash=False), "payload", None, 1.0, table="poses", **SMALL
         )
+
+
+def test_no_magnitude_is_returned_for_a_size_that_it_does_not_have():
+    """One target on a line: geometry absorbs a tilt of a bearing to 3e-5 of the noise, unless it turns by radians."""
+    robot = draw_robot("big6", 3709, mounting="ceiling")
+    with pytest.raises(ValueError, match=r"no magnitude with 0\.8 sigma in poses was found"):
+        magnitude_for(
+            robot, "bearing_tilt", "joint1", 0.8, table="poses", beyond_standard=True,
+            program="line24", noise="walk", seed=3709,
+        )  # fmt: skip
