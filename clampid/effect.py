@@ -169,6 +169,10 @@ class Parameter:
         """The standard error below which the rows identify it: its size, at most half of its prior's deviation."""
         return self.size if self.shape else min(self.size, 0.5 * self.prior_std)
 
+    def no_larger(self, limit: float) -> Parameter:
+        """The same with a prior whose standard deviation is at most ``limit``."""
+        return replace(self, spread=min(self.spread, limit / self.size))
+
     def geared(self, ratio: float) -> Parameter:
         """The same with size, bounds and grid for a joint whose motor turns ``ratio`` times as fast."""
         if not self.gearing:

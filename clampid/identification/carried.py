@@ -27,10 +27,20 @@ from clampid.models.agreement import Agreement, agreement_of, shared_drives
 from clampid.models.model import StageModel
 from clampid.role_slots import has_role
 from clampid.slots import Prior, Slot
-from clampid.stages.rows import Rows
+from clampid.stages.rows import Array, Rows
 from clampid.stages.stage_kind import acts_with, known_of
+from kinematics.description import RobotDescription
 
-__all__ = ["Drives", "carried_drives", "carried_over", "is_load", "is_start", "prior_from"]
+__all__ = [
+    "Drives",
+    "carried_drives",
+    "carried_over",
+    "is_load",
+    "is_start",
+    "log_friction",
+    "prior_from",
+    "with_log_friction",
+]
 
 
 def is_load(slot: Slot, effects: Mapping[str, Effect] | None = None) -> bool:
@@ -99,6 +109,38 @@ def carried_over(
         slope = torque.by_springs[[torque.slots.index(s) for s in loads]]
         prior = replace(prior, follows=springs(slope.shape[1]), slope=slope)
     return (prior,), start
+
+
+def log_friction(stages: Mapping[Stage, StageModel], robot: RobotDescription, effects: Mapping[str, Effect]) -> Array:
+    """Dry friction of each joint that moves alone, of motors and arm side together ``(n,)``, Nm, by the torque stage.
+
+    It bounds the arm side's part, which poses show, and which a log distinguishes only in a coupled wrist. Its square
+    includes that of its standard error. Infinite where a motor that turns with the joint has no identified friction,
+    and where the log has a friction of the arm side itself.
+
+    Power of the motors: ``F_joint |w_joint| = sum of F_motor |w_motor|``, with ``w_motor = T^-T w_joint``.
+    """
+    n, torque = robot.n, known_of(stages, "moving")
+    value, std, itself = np.full(n, np.nan), np.zeros(n), np.zeros(n, dtype=bool)
+    for slot, v, s, known in (
+        () if torque is None else zip(torque.slots, torque.theta, torque.std, torque.identified, strict=True)
+    ):
+        if has_role(slot, "arm_friction", effects=effects):
+            itself[int(slot.place.removeprefix("joint")) - 1] = True
+        elif known and v > 0.0 and has_role(slot, "dry_friction", effects=effects):
+            motor = int(slot.place.removeprefix("joint")) - 1
+            value[motor], std[motor] = v, s
+    turns = np.abs(np.linalg.inv(np.asarray(robot.transmission, dtype=float)))  # (joint, motor)
+    unknown = np.any((turns > 0.0) & np.isnan(value), axis=1) | itself
+    total = np.hypot(turns @ np.nan_to_num(value), np.sqrt(turns**2 @ std**2))
+    return np.where(unknown, np.inf, total)
+
+
+def with_log_friction(rows: Rows, stages: Mapping[Stage, StageModel], effects: Mapping[str, Effect]) -> Rows:
+    """Rows of poses with the joints' dry friction in the torque stage, if there is one; other rows as they are."""
+    if not rows.kind.points or known_of(stages, "moving") is None:
+        return rows
+    return replace(rows, constants=replace(rows.pose, log_friction=log_friction(stages, rows.robot, effects)))
 
 
 def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:

@@ -26,7 +26,7 @@ from clampid.fitting.rest_friction import RestFriction, with_open_friction, with
 from clampid.fitting.solve import Estimate, FitError
 from clampid.fitting.unknown_friction import unknown_frictions
 from clampid.fitting.unknown_masses import with_unknown_masses
-from clampid.identification.carried import carried_drives, carried_over
+from clampid.identification.carried import carried_drives, carried_over, with_log_friction
 from clampid.identification.initial_values import initial_values
 from clampid.models.agreement import Agreement
 from clampid.models.model import StageModel
@@ -157,6 +157,7 @@ def fit_stage(
         The rows have no more numbers than the parameters that they determine.
     """
     carried_prior, before = (others, {}) if isinstance(others, Prior) else (None, others)
+    rows = with_log_friction(rows, before, effects)
     if carried_prior is None and not start and open_turns(rows):
         trial = fit_problem(rows, effects, active_slots(rows, effects, terms))
         rows = from_likeliest_turn(trial, carried_over(rows, before, effects)[0])

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from clampid.effect import Effect, Stage
-from clampid.identification.carried import carried_over
+from clampid.identification.carried import carried_over, log_friction
 from clampid.models.model import StageModel
 from clampid.role_slots import has_role
 from clampid.stages.fit_problem import parameter_of
@@ -63,4 +63,8 @@ def _carried(stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, 
         std = np.sqrt(np.diag(clamped.covariance))
         drives = [k for k, slot in enumerate(clamped.slots) if has_role(slot, "compliance", "clearance")]
         known |= {clamped.slots[k]: float(std[k]) for k in drives}
+    most = log_friction(before, rows.robot, effects)
+    for slot in stage.slots:
+        if rows.kind.points and slot not in known and has_role(slot, "arm_friction", effects=effects):
+            known[slot] = float(most[int(slot.place.removeprefix("joint")) - 1])
     return np.array([known.get(slot, np.inf) for slot in stage.slots])

@@ -59,8 +59,15 @@ class FitProblem:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters of the slots ``(P,)``, with sizes and bounds for this robot's gears."""
-        return tuple(parameter_of(slot, self.effects, self.rows.robot) for slot in self.slots)
+        """The parameters of the slots ``(P,)``, with sizes and bounds for this robot's gears and its known friction."""
+        return tuple(self._parameter(slot) for slot in self.slots)
+
+    def _parameter(self, slot: Slot) -> Parameter:
+        """A slot's parameter; the arm's part of a friction is hardly larger than all of it in a torque log."""
+        parameter = parameter_of(slot, self.effects, self.rows.robot)
+        if parameter.role != "arm_friction" or not self.kind.points or self.rows.pose.log_friction is None:
+            return parameter
+        return parameter.no_larger(float(self.rows.pose.log_friction[int(slot.place.removeprefix("joint")) - 1]))
 
     def numbers_of(self, *roles: Role, per: Per | None = None) -> list[int]:
         """Which slots, counted from 0, are numbers of one of these roles (and one for each of such places)."""

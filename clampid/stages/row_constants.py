@@ -159,6 +159,9 @@ class PoseConstants(RowConstants):
         ``(N, n)``: whether the temperature of a link was recorded.
     tool_mass
         ``(N,)``, kg, as declared.
+    log_friction
+        ``(n,)``, Nm: dry friction at each joint in torque logs, of motor and arm side together; infinite where no log
+        identifies it. None: not looked up.
     """
 
     target: Array = field(metadata=PER_ROW)
@@ -169,6 +172,7 @@ class PoseConstants(RowConstants):
     anchor: Array = field(metadata=PER_ROW)
     link_recorded: Bools = field(metadata=PER_ROW)
     tool_mass: Array = field(metadata=PER_ROW)
+    log_friction: Array | None = None
 
 
 def per_row(constants: RowConstants) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from clampid.effect import Stage
 from clampid.fitting.descent import inverse_of
 from clampid.fitting.fit import fit
 from clampid.fitting.prior_and_start import prior_of
-from clampid.identification.carried import carried_drives, prior_from
+from clampid.identification.carried import carried_drives, log_friction, prior_from
 from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import stage_rows
 from clampid.models.model import StageModel
@@ -22,6 +22,7 @@ from clampid.slots import Prior, Slot, Term
 from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from experiments.campaign import Campaign
+from kinematics.description import RobotDescription
 
 Simulated = Callable[..., Campaign]
 TERMS = {
@@ -155,3 +156,46 @@ def test_priors_pull_by_their_information(alone: FittedStage, clamped: StageMode
     found = fit(alone.estimate.problem, (sure,), alone.estimate.values())
     values = np.array([found.values()[s] for s in prior.slots])
     np.testing.assert_allclose(values, prior.mean, atol=1e-7)
+
+
+def moving(robot: RobotDescription, friction: float, *further: Slot) -> StageModel:
+    """A torque stage that knows a dry friction of every motor, and further numbers."""
+    slots = (*(Slot("coulomb_friction", "Fc", f"joint{j + 1}") for j in range(robot.n)), *further)
+    one = np.ones(len(slots))
+    return StageModel(
+        "free_air", (), slots, friction * one, np.diag((0.01 * friction * one) ** 2), (True,) * len(slots)
+    )
+
+
+def test_the_friction_of_a_joint_is_that_of_all_motors_that_turn_with_it(campaign: Campaign):
+    """Power: where joint 4 turns alone, motors of the coupled wrist turn with it, and each brakes it."""
+    robot = campaign.robot
+    found = log_friction({"free_air": moving(robot, 0.5)}, robot, catalogue())
+    for j in range(robot.n):
+        speed = np.zeros(robot.n)
+        speed[j] = 1.0
+        power = 0.5 * np.abs(np.linalg.solve(np.asarray(robot.transmission).T, speed)).sum()
+        assert power < found[j] < 1.001 * power
+    assert np.isinf(log_friction({}, robot, catalogue())).all()
+
+
+def test_what_a_log_does_not_know_bounds_nothing(campaign: Campaign):
+    robot = campaign.robot
+    known = moving(robot, 0.5, Slot("wrist_coupling_friction", "F", "joint2"))
+    some = replace(known, identified=tuple(slot.place != "joint5" for slot in known.slots))
+    with_motor_5 = np.linalg.inv(np.asarray(robot.transmission))[:, 4] != 0.0
+    assert 0 < with_motor_5.sum() < robot.n
+    of_its_own = np.arange(robot.n) == 1
+    assert (np.isinf(log_friction({"free_air": known}, robot, catalogue())) == of_its_own).all()
+    assert (np.isinf(log_friction({"free_air": some}, robot, catalogue())) == with_motor_5 | of_its_own).all()
+
+
+def test_a_joint_has_no_more_friction_at_the_arm_than_in_all(
+    campaign: Campaign, alone: FittedStage, free_air: StageModel
+):
+    problem, most = alone.estimate.problem, log_friction({"free_air": free_air}, campaign.robot, catalogue())
+    for k in problem.numbers_of("arm_friction"):
+        joint = int(problem.slots[k].place.removeprefix("joint")) - 1
+        assert problem.prior_std()[k] == pytest.approx(min(50.0, most[joint]))
+        assert problem.clear()[k] <= 0.5 * most[joint]
+    assert np.isfinite(most).any()
