@@ -99,6 +99,10 @@ class CandidateScores:
         named, probe = self.best(), self.probe if self.fires else None
         return [s for s in (named, probe) if s is not None]
 
+    def seen_by(self, probe: Scored) -> CandidateScores:
+        """The same with another probe as the one whose variables a verdict names."""
+        return replace(self, probe=probe)
+
     @property
     def remembered(self) -> CandidateScores:
         """The part that a verdict needs later, without arrays of the size of the rows."""

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from clampid.diagnosis.candidate_scores import CandidateScores
+from clampid.diagnosis.candidate_scores import CandidateScores, standing_out_of
 from clampid.diagnosis.confirm import Fall, cross_fitted_fall
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import variables_of
@@ -37,6 +37,8 @@ __all__ = ["CLEARLY", "MATTERS", "Remains", "above_the_floor", "remains_of"]
 
 CLEARLY = 0.05  # chance that an error at the floor is said to be above it
 MATTERS = 0.4  # noise floors, rms: from this size on what is missing is found in 95 % (DIAGNOSIS' acceptance)
+
+MOST_PROBES = 5  # that are tried, the best first
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,8 @@ class Remains:
         One-sided, of the fall of the whitened errors.
     matters
         Whether the verdict names it.
+    probe
+        What finds it.
     """
 
     depends_on: tuple[str, ...]
@@ -62,6 +66,7 @@ class Remains:
     size: float
     p: float
     matters: bool
+    probe: Scored
 
     def to_json(self, unit: str) -> dict[str, Any]:
         """For programs."""
@@ -83,29 +88,46 @@ class Remains:
 
 
 def remains_of(scores: CandidateScores, estimate: Estimate, held_out: HeldOut, falls: FallTest) -> Remains | None:
-    """The structure of the best probe, if it is significant and lowers the held-out error; else None.
+    """The structure of the best significant probe that lowers the held-out error; None if none does.
 
     Stability over five parts is not required: with errors of several joints each part of the rows may show another
     joint's share best.
     """
-    if not scores.fires or scores.probe is None:
+    found = _confirmed(scores, estimate, falls)
+    if found is None:
         return None
-    fall = falls.of_probe(scores.probe, estimate)
-    if fall.p > HELD_OUT_RATE:
-        return None
-    where, poses = scores.probe.candidate.places, estimate.problem.kind.points
+    probe, fall = found
+    where, poses = probe.candidate.places, estimate.problem.kind.points
 
     def size_of(share: float) -> float:
         return float(np.sqrt(max(share, 0.0) * _per_motor(held_out.rows, where))) * held_out.rms
 
-    explained = fall if poses else _plain_fall(scores.probe, estimate, falls.seed)
+    explained = fall if poses else _plain_fall(probe, estimate, falls.seed)
     size = size_of(explained.share)
     if poses:
         large = size >= MATTERS * held_out.floor.norm > 0.0 and held_out.rms > held_out.floor.norm
     else:
         large = size_of(explained.share + float(stats.norm.isf(CLEARLY)) * explained.error) >= MATTERS
-    found, wanders = variables_of(scores), scores.wander > 0.0 and not poses
-    return Remains(tuple(found), where, size, fall.p, large or (not wanders and above_the_floor(held_out, CLEARLY)))
+    variables, wanders = variables_of(scores.seen_by(probe)), scores.wander > 0.0 and not poses
+    matters = large or (not wanders and above_the_floor(held_out, CLEARLY))
+    return Remains(tuple(variables), where, size, fall.p, matters, probe)
+
+
+def _confirmed(scores: CandidateScores, estimate: Estimate, falls: FallTest) -> tuple[Scored, Fall] | None:
+    """The first significant probe, the best first, by which the held-out error falls.
+
+    The best one may have so many columns that it predicts nothing. The k-th one tried is tested at the k-th part of the
+    rate (Bonferroni).
+    """
+    if not scores.fires or scores.probe is None:
+        return None
+    others = sorted(standing_out_of(scores.free, scores.free_null), key=lambda s: -s.bic)
+    tried = [scores.probe, *(s for s in others if s.candidate.label != scores.probe.candidate.label)]
+    for number, probe in enumerate(tried[:MOST_PROBES], start=1):
+        fall = falls.of_probe(probe, estimate)
+        if fall.p <= HELD_OUT_RATE / number:
+            return probe, fall
+    return None
 
 
 def _per_motor(rows: Rows, where: tuple[str, ...]) -> float:

@@ -62,12 +62,14 @@ def diagnose_stage(fitted: FittedStage, bench: Bench, propose: Propose | None = 
     """
     judged_by, outcome = _searched(fitted, bench)
     drift = drift_of(outcome.fitted.estimate) if fitted.estimate.problem.kind.points else None
+    as_slow: list[str] = []  # variables that describe what is left, and perhaps only because they change as slowly
     if drift is not None and drift.block > 1:  # once more, now that it is known how long what is left goes on
+        as_slow = variables_of(outcome.scores) if outcome.scores.fires else []
         del outcome  # as large as its rows
         judged_by, outcome = _searched(fitted, replace(bench, block=drift.block))
     result = _verdict(fitted, judged_by, outcome, propose)
     if drift is not None and result.verdict == "unknown" and not result.depends_on and drift.clocked:
-        result.depends_on = ["time"]
+        result.depends_on = list(dict.fromkeys(["time", *as_slow]))
         result.summary = " ".join([summary_of(result), *result.warnings])
     if drift is not None:
         _warn(result, drift.sentence)
@@ -142,7 +144,7 @@ def _judge_what_is_left(result: StageDiagnosis, outcome: Searched, bench: Bench,
     tested = None if bench.verification is None else held_out.rows
     left = remains_of(scores, estimate, held_out, replace(bench.falls(scores), verification=tested))
     if excess or (left is not None and left.matters):
-        _unknown(result, scores, estimate, bench.seed)
+        _unknown(result, scores if left is None else scores.seen_by(left.probe), estimate, bench.seed)
     elif left is not None:
         result.remains.append(left)
 
