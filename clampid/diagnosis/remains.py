@@ -37,7 +37,6 @@ __all__ = ["CLEARLY", "MATTERS", "Remains", "above_the_floor", "remains_of"]
 
 CLEARLY = 0.05  # chance that an error at the floor is said to be above it
 MATTERS = 0.4  # noise floors, rms: from this size on what is missing is found in 95 % (DIAGNOSIS' acceptance)
-
 MOST_PROBES = 5  # that are tried, the best first
 
 
