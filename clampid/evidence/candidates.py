@@ -6,7 +6,7 @@ derivative of the measurement by one parameter.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,8 @@ __all__ = [
     "named_candidates",
     "terms_not_active",
 ]
+
+FRICTION_SHARES = (0.5, 1.0)  # of a joint's friction in the log, that may be the arm side's
 
 
 @dataclass(frozen=True)
@@ -212,17 +214,13 @@ def named_candidates(
         slots |= dict.fromkeys(found)
     every = [s for s in slots if s not in estimate.slots]
     parameters = {s: parameter_of(s, effects, rows.robot) for s in every}
-    grids = max((len(p.grid) for p in parameters.values() if p.shape), default=1)
     out: list[Candidate] = []
-    for level in range(grids):
-        # At further grid values only the columns of effects with a shape parameter change.
-        deep = {s.effect for s in every if level < len(parameters[s].grid)}
-        extra = [s for s in every if level == 0 or s.effect in deep]
-        values = [parameters[s].grid[level] if parameters[s].shape else 0.0 for s in extra]
-        white = known.of(estimate, extra, values)
+    for at, extra, values in _evaluations(estimate, every, parameters, effects):
+        white = known.of(at, extra, values)
         index = {s: k for k, s in enumerate(extra)}
+        changed = {s.effect for s in extra}
         for name in dict.fromkeys(t.effect for t in terms):
-            if level > 0 and name not in deep:
+            if name not in changed:
                 continue
             effect = effects[name]
             own = [t for t in terms if t.effect == name]
@@ -236,6 +234,40 @@ def named_candidates(
                 if members:
                     out.append(candidate_of(effect, group, members, parameters, index, values, white))
     return out
+
+
+def _evaluations(
+    estimate: Estimate, slots: Sequence[Slot], parameters: Mapping[Slot, Parameter], effects: Mapping[str, Effect]
+) -> Iterator[tuple[Estimate, list[Slot], list[float]]]:
+    """Where the columns of absent slots are evaluated: the fit, slots and their values, SI.
+
+    At the first value of every shape, at the further ones, and, of effects that read flanks, also with the flanks that
+    more friction gives: without a clearance in the model nothing in the rows shows the friction that selects them.
+    """
+    for level in range(max((len(p.grid) for p in parameters.values() if p.shape), default=1)):
+        deep = {s.effect for s in slots if level < len(parameters[s].grid)}
+        extra = [s for s in slots if level == 0 or s.effect in deep]
+        yield estimate, extra, [parameters[s].grid[level] if parameters[s].shape else 0.0 for s in extra]
+    extra = [s for s in slots if "flank" in effects[s.effect].needs and not parameters[s].shape]
+    for share in FRICTION_SHARES if extra else ():
+        other = _with_friction_of_log(estimate, share)
+        if other is not None:
+            yield other, extra, [0.0] * len(extra)
+
+
+def _with_friction_of_log(estimate: Estimate, share: float) -> Estimate | None:
+    """The fit with a share of the log's dry friction at the joints without clearance; None if none is known."""
+    problem = estimate.problem
+    most = problem.rows.pose.log_friction if problem.kind.points else None
+    if most is None:
+        return None
+    play = {problem.slots[k].place for k in problem.numbers_of("clearance")}
+    theta = estimate.theta.copy()
+    for k in problem.numbers_of("arm_friction"):
+        friction = float(most[int(problem.slots[k].place.removeprefix("joint")) - 1])
+        if problem.slots[k].place not in play and np.isfinite(friction):
+            theta[k] = share * friction
+    return None if np.array_equal(theta, estimate.theta) else replace(estimate, theta=theta)
 
 
 def columns_of(estimate: Estimate, candidates: Sequence[Candidate]) -> Array:
