@@ -137,10 +137,16 @@ def log_friction(stages: Mapping[Stage, StageModel], robot: RobotDescription, ef
 
 
 def with_log_friction(rows: Rows, stages: Mapping[Stage, StageModel], effects: Mapping[str, Effect]) -> Rows:
-    """Rows of poses with the joints' dry friction in the torque stage, if there is one; other rows as they are."""
+    """Rows of poses with the friction that the log knows at joints with a larger load; other rows as they are.
+
+    At a joint with less load (median over the rows) a clearance and the spring that friction winds up are one number.
+    The clearance would look known if the friction were, through a spring that nothing identifies there.
+    """
     if not rows.kind.points or known_of(stages, "moving") is None:
         return rows
-    return replace(rows, constants=replace(rows.pose, log_friction=log_friction(stages, rows.robot, effects)))
+    most = log_friction(stages, rows.robot, effects)
+    load = np.median(np.abs(rows.signals["gravity_torque"]), axis=0)
+    return replace(rows, constants=replace(rows.pose, log_friction=np.where(load > most, most, np.inf)))
 
 
 def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:

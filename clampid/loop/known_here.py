@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from clampid.effect import Effect, Stage
-from clampid.identification.carried import carried_over, log_friction
+from clampid.identification.carried import carried_over, with_log_friction
 from clampid.models.model import StageModel
 from clampid.role_slots import has_role
 from clampid.stages.fit_problem import parameter_of
@@ -37,7 +37,7 @@ def known_here(
         All known effects, by name.
     """
     std = np.sqrt(np.diag(stage.covariance))
-    assumed = np.minimum(_assumed(stage, rows, effects), _carried(stage, before, rows, effects))
+    assumed = np.minimum(_assumed(stage, before, rows, effects), _carried(stage, before, rows, effects))
     return np.asarray(np.array(stage.identified, dtype=bool) & (std**2 <= LARGEST_VARIANCE_LEFT * assumed**2))
 
 
@@ -45,12 +45,17 @@ def known_before(
     stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, effects: Mapping[str, Effect]
 ) -> Bools:
     """Which parameters ``(P,)`` earlier tables or the description know better than their declared prior."""
-    return np.asarray(_carried(stage, before, rows, effects) < _assumed(stage, rows, effects))
+    return np.asarray(_carried(stage, before, rows, effects) < _assumed(stage, before, rows, effects))
 
 
-def _assumed(stage: StageModel, rows: Rows, effects: Mapping[str, Effect]) -> Array:
-    """Declared prior standard deviations ``(P,)``, SI."""
-    return np.array([parameter_of(slot, effects, rows.robot).prior_std for slot in stage.slots])
+def _assumed(stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, effects: Mapping[str, Effect]) -> Array:
+    """Declared prior standard deviations ``(P,)``, SI; of friction in poses that which a log leaves open."""
+    most = with_log_friction(rows, before, effects).pose.log_friction if rows.kind.points else None
+    std = np.array([parameter_of(slot, effects, rows.robot).prior_std for slot in stage.slots])
+    for k, slot in enumerate(stage.slots):
+        if most is not None and has_role(slot, "arm_friction", effects=effects):
+            std[k] = min(std[k], float(most[int(slot.place.removeprefix("joint")) - 1]))
+    return std
 
 
 def _carried(stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, effects: Mapping[str, Effect]) -> Array:
@@ -63,8 +68,4 @@ def _carried(stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, 
         std = np.sqrt(np.diag(clamped.covariance))
         drives = [k for k, slot in enumerate(clamped.slots) if has_role(slot, "compliance", "clearance")]
         known |= {clamped.slots[k]: float(std[k]) for k in drives}
-    most = log_friction(before, rows.robot, effects)
-    for slot in stage.slots:
-        if rows.kind.points and slot not in known and has_role(slot, "arm_friction", effects=effects):
-            known[slot] = float(most[int(slot.place.removeprefix("joint")) - 1])
     return np.array([known.get(slot, np.inf) for slot in stage.slots])

@@ -161,7 +161,7 @@ class PoseConstants(RowConstants):
         ``(N,)``, kg, as declared.
     log_friction
         ``(n,)``, Nm: dry friction at each joint in torque logs, of motor and arm side together; infinite where no log
-        identifies it. None: not looked up.
+        identifies it, or where the load is smaller. None: not looked up.
     """
 
     target: Array = field(metadata=PER_ROW)
