@@ -25,11 +25,11 @@ from experiments.second_world import (
     measure,
     size_in_sigma,
 )
+from experiments.second_world.sizing import NOTHING
 
 MOUNTINGS = ("floor", "floor", "wall", "floor", "ceiling")
 LARGEST = 5.0  # of this world's own sizes, which are those of real machines: nothing is hidden that is larger
 LOGS = tuple(name for name in LOG_PROGRAMS if name != "fourier_1khz")  # a verdict on it takes minutes
-NOTHING = 1e-5  # sigma: what rounding may leave of an effect that the standard set absorbs
 SHOWN = 0.5  # of the size asked for: what stays below is left out of the counts
 OF_ALL_MOTORS = ("all",)  # places of effects that all motors show
 

@@ -10,7 +10,7 @@ from clampid.effect import Effect, Stage
 from clampid.identification.carried import carried_over, with_log_friction
 from clampid.models.model import StageModel
 from clampid.role_slots import has_role
-from clampid.stages.fit_problem import parameter_of
+from clampid.stages.fit_problem import parameter_in
 from clampid.stages.rows import Array, Bools, Rows
 from clampid.stages.stage_kind import known_of
 
@@ -50,12 +50,8 @@ def known_before(
 
 def _assumed(stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, effects: Mapping[str, Effect]) -> Array:
     """Declared prior standard deviations ``(P,)``, SI; of friction in poses that which a log leaves open."""
-    most = with_log_friction(rows, before, effects).pose.log_friction if rows.kind.points else None
-    std = np.array([parameter_of(slot, effects, rows.robot).prior_std for slot in stage.slots])
-    for k, slot in enumerate(stage.slots):
-        if most is not None and has_role(slot, "arm_friction", effects=effects):
-            std[k] = min(std[k], float(most[int(slot.place.removeprefix("joint")) - 1]))
-    return std
+    rows = with_log_friction(rows, before, effects)
+    return np.array([parameter_in(rows, slot, effects).prior_std for slot in stage.slots])
 
 
 def _carried(stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, effects: Mapping[str, Effect]) -> Array:

@@ -22,7 +22,7 @@ from clampid.stages.statements import stated_equations
 from kinematics.description import RobotDescription
 from kinematics.masses import own_moment
 
-__all__ = ["FIXED_STD", "FitProblem", "fit_problem", "parameter_of"]
+__all__ = ["FIXED_STD", "FitProblem", "fit_problem", "parameter_in", "parameter_of"]
 
 
 FIXED_STD = 1e-9  # sizes: as tightly as numbers allow
@@ -60,14 +60,7 @@ class FitProblem:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """The parameters of the slots ``(P,)``, with sizes and bounds for this robot's gears and its known friction."""
-        return tuple(self._parameter(slot) for slot in self.slots)
-
-    def _parameter(self, slot: Slot) -> Parameter:
-        """A slot's parameter; the arm's part of a friction is hardly larger than all of it in a torque log."""
-        parameter = parameter_of(slot, self.effects, self.rows.robot)
-        if parameter.role != "arm_friction" or not self.kind.points or self.rows.pose.log_friction is None:
-            return parameter
-        return parameter.no_larger(float(self.rows.pose.log_friction[int(slot.place.removeprefix("joint")) - 1]))
+        return tuple(parameter_in(self.rows, slot, self.effects) for slot in self.slots)
 
     def numbers_of(self, *roles: Role, per: Per | None = None) -> list[int]:
         """Which slots, counted from 0, are numbers of one of these roles (and one for each of such places)."""
@@ -239,6 +232,14 @@ def parameter_of(slot: Slot, effects: Mapping[str, Effect], robot: RobotDescript
     joint = int(slot.place.removeprefix("joint")) - 1
     own = abs(float(np.asarray(robot.transmission)[joint, joint]))
     return parameter.geared(1.0 / own if own > 0 else 1.0)
+
+
+def parameter_in(rows: Rows, slot: Slot, effects: Mapping[str, Effect]) -> Parameter:
+    """The parameter of a slot in some rows; the arm's part of a friction is hardly larger than all of it in a log."""
+    parameter = parameter_of(slot, effects, rows.robot)
+    if parameter.role != "arm_friction" or not rows.kind.points or rows.pose.log_friction is None:
+        return parameter
+    return parameter.no_larger(float(rows.pose.log_friction[int(slot.place.removeprefix("joint")) - 1]))
 
 
 def fit_problem(

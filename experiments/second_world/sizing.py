@@ -25,12 +25,12 @@ from experiments.second_world.session import (
 )
 from experiments.second_world.states import PoseState
 
-__all__ = ["magnitude_for", "pose_std_m", "size_in_sigma"]
+__all__ = ["NOTHING", "magnitude_for", "pose_std_m", "size_in_sigma"]
 
 _ROWS = 1500  # of a log, that a refit of the standard model is judged by
 _WHITE: SessionChoice = {"noise": "white"}
 _STEPS, _WITHIN = 12, 0.01  # a magnitude's steps towards a size, and how near to it is enough
-_NOTHING = 1e-5  # sigma: what rounding may leave of an effect that is absorbed
+NOTHING = 1e-5  # sigma: what rounding may leave of an effect that is absorbed
 
 
 def pose_std_m(session: Session) -> Array:
@@ -223,7 +223,7 @@ def magnitude_for(
     magnitude = 1.0
     for _ in range(_STEPS):
         size = size_of([active for _, _, active in activate(session, [(name, where, magnitude)])])
-        if size < _NOTHING:
+        if size < NOTHING:
             raise ValueError(f"{name} at {where}: it changes nothing in {table} of this robot and program")
         if abs(size / sigma - 1) < _WITHIN:
             return magnitude

@@ -38,3 +38,13 @@ def test_a_clearance_is_named_although_the_friction_that_selects_its_flank_was_n
     case = next(c for c in SECOND.cases["single"] if c.label == "backlash/poses")
     found = hidden_trial(SECOND, case, OF_ITS_SIZE, 142, 200, best=False)
     assert found["top1"], found["candidates"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3706, 3724])
+def test_a_missing_clearance_is_named_though_no_friction_selects_its_flanks_yet(seed: int):
+    """With none it looks like a stiffness soft near zero: both turn with the sign of the load."""
+    case = next(c for c in SECOND.cases["single"] if c.label == "backlash/poses")
+    found = hidden_trial(SECOND, case, OF_ITS_SIZE, seed, 200, best=False)
+    assert found["verdict"] == "missing"
+    assert [(c["name"], c["where"]) for c in found["candidates"]] == [("backlash", [found["truth"][0]["where"]])]
