@@ -48,7 +48,7 @@ class Step:
         return ", ".join(term.label for term in self.terms)
 
     def fit_of(self, terms: Sequence[Term], rows: Rows) -> FittedStage | None:
-        """The fit that it remembers, if that has these terms and was made of these rows of a log."""
+        """The fit that it remembers, if that has these terms and was made of these rows."""
         known = self.fitted
         if known is None or set(known.model.terms) != set(terms) or known.rows.measured.shape != rows.measured.shape:
             return None

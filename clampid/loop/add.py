@@ -270,14 +270,7 @@ def _stage_with(
     held_out, others = model.held_out, model.carried_prior or before
 
     def begin(known: StageModel, active: Sequence[Effect]) -> tuple[FittedStage, Rows | None, StageErrors]:
-        rows = stage_rows(
-            opened.campaigns,
-            opened.layout,
-            stage,
-            opened.base,
-            active=active,
-            anchors=opened.anchors,
-        )
+        rows = stage_rows(opened.campaigns, opened.layout, stage, opened.base, active=active, anchors=opened.anchors)
         fitted = fit_stage(rows, effects, known.terms, others, known.values(), held_out)
         verification = verification_rows(opened.campaigns, opened.layout, stage, fitted.base_reference)
         return fitted, verification, fitted.errors(verification, seed, floor)
@@ -297,14 +290,16 @@ def _stage_with(
             active = wanted
             compared, verification, errors = begin(fitted.model, active)
             fitted = compared
-        new = resolved(step.terms, fitted, effects)
-        if not new.terms:
-            left_out.append(step)
-            continue
-        old, worse = fitted.model, errors
-        every, last = (*old.terms, *new.terms), fitted.estimate
-        ready = step.fit_of(every, fitted.rows) if model.kind.moving and not others else None
-        fitted = ready or fit_stage(fitted.rows, effects, every, others, new.start, held_out, last=last)
+        old, worse, rows = fitted.model, errors, fitted.rows
+        ready = None if others else step.fit_of((*old.terms, *step.terms), rows)
+        if ready is None:
+            new = resolved(step.terms, fitted, effects)
+            if not new.terms:
+                left_out.append(step)
+                continue
+            every = (*old.terms, *new.terms)
+            ready = fit_stage(rows, effects, every, others, new.start, held_out, last=fitted.estimate)
+        fitted = ready
         errors = fitted.errors(verification, seed, floor)
         rounds.append(_round(old, fitted.model, worse, errors, step.evidence))
     if rounds and kind_of(stage).moving:

@@ -215,3 +215,17 @@ def test_rows_without_a_compiler(cache: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("CLAMPID_COMPILER", "none")
     theta, rows = np.ones(2), np.ones((4, 3))
     np.testing.assert_allclose(compile_rows(function())(theta, rows)[0], expected(theta, rows), rtol=1e-14)
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler here")
+def test_functions_that_differ_by_names_of_symbols_share_a_library(cache: Path):
+    def one(names: tuple[str, str], factor: float) -> ca.Function:
+        theta, row = (ca.SX.sym(name, 3) for name in names)
+        return ca.Function("piece", [theta[1:], row[:2]], [factor * theta[1:] * row[:2]])
+
+    theta, rows = np.array([2.0, 3.0]), np.array([[1.0, 5.0]])
+    for names in (("theta", "row"), ("t", "r")):
+        assert compile_rows(one(names, 2.0))(theta, rows)[0].tolist() == [[4.0, 30.0]]
+    assert len(list(cache.rglob("*.so"))) == 1
+    assert compile_rows(one(("t", "r"), 3.0))(theta, rows)[0].tolist() == [[6.0, 45.0]]
+    assert len(list(cache.rglob("*.so"))) == 2
