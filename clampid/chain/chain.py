@@ -190,6 +190,13 @@ class Chain:
             scales=(),
         )
 
+    @property
+    def once(self) -> Chain:
+        """The same for a single evaluation; of a stage at rest."""
+        flank, yields = (None if f is None else f.once for f in (self.flank_function, self.yield_function))
+        function = self.function.once if isinstance(self.function, Rowwise) else self.function
+        return replace(self, function=function, flank_function=flank, yield_function=yields)
+
     def derivatives_from(self, first: int) -> Chain:
         """The derivatives by the slots from the ``first`` on, without the deviations."""
         kept = np.flatnonzero(self.parameter >= first)

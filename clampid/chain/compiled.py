@@ -3,7 +3,7 @@
 Where it can, the compiled function does eight rows at once (`clampid.chain.lanes`). A function that is used for a few
 fits alone is compiled in a hurry, and only where its rows pay for that (:class:`Rowwise`). Without a compiler functions
 run in casadi's own machine: the same numbers, slower. What was compiled is kept in the user's cache folder under the
-hash of what it computes and its own, so that each function is compiled once on a machine, and a library that was cut off or
+hash of what it computes and its own. So each function is compiled once on a machine, and a library that was cut off or
 changed is made again instead of ending the process (see :mod:`clampid.chain.library_folder`).
 """
 
@@ -43,9 +43,11 @@ PLAIN = ("-std=c99",)
 NATIVE = ("-std=gnu99", "-march=native", "-fopenmp-simd", "-Wno-psabi")  # for this processor; not every compiler can
 # Seconds, measured on one core and rounded: of the compiler to begin, and for an instruction; and what a row of
 # an instruction takes less when it is compiled. Their ratios alone count.
-BEGINS, COMPILES, SAVES = 0.06, 3.5e-5, 3.3e-9
+BEGINS, COMPILES, SAVES = 0.06, 4e-4, 6e-9
 PIECE_ROWS = 1000  # of a call, from which on pieces are compiled: it takes as long as 200 calls with fewer rows save
-CALLS = 20  # of a function with the rows of one fit, at least: its points, a few for each of its searches
+# Calls of a function of a fit: its points, and those of later fits with the same law at the same places. Measured in
+# ``auto`` on two sessions of a UR10: 55 for each library.
+CALLS = 50
 COMPILE_SECONDS = 120.0  # one that takes longer is not worth waiting for
 
 _log = logging.getLogger(__name__)
@@ -87,20 +89,32 @@ class Blocks:
 class Rowwise:
     """A function of (parameters, row) that is compiled in a hurry where the rows of a call pay for it.
 
-    Which calls are compiled depends on the function and the number of rows alone, so that the same call has the same
-    result at any time.
+    Which calls are compiled depends on the function, its calls and the number of rows alone, so that the same call has
+    the same result at any time.
+
+    Parameters
+    ----------
+    function
+        A ``casadi.Function`` of (parameters, row), dense.
+    calls
+        How often it is expected to be called.
     """
 
-    def __init__(self, function: Any) -> None:
-        self.function = function
+    def __init__(self, function: Any, calls: int = CALLS) -> None:
+        self.function, self.calls = function, calls
         self._instructions = function.n_instructions() if function.is_a("SXFunction") else 0
 
     def __call__(self, theta: Array, *columns: Array) -> list[Array]:
         """As :class:`Blocks`."""
         rows = len(columns[0]) if columns else 0
-        gain = CALLS * SAVES * rows * self._instructions
+        gain = self.calls * SAVES * rows * self._instructions
         worth = gain > BEGINS + COMPILES * self._instructions
         return (self._compiled if worth else self._blocks)(theta, *columns)
+
+    @property
+    def once(self) -> Rowwise:
+        """The same for a single call."""
+        return Rowwise(self.function, 1)
 
     @cached_property
     def _blocks(self) -> Blocks:

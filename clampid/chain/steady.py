@@ -147,7 +147,8 @@ def parted(
     read = {name: flat for name, flat in flats.items() if ca.depends_on(own, flat)}
     function = ca.Function("steady", [theta[fixed.tolist()], ca.vertcat(*read.values())], [own])
     signals = [(name, flat.shape[0]) for name, flat in read.items()]
-    steady = Steady(Rowwise(function), signals, fixed, columns, others, station[columns], parameter[columns])
+    # Its columns are kept, so that it is called once for the rows of a fit.
+    steady = Steady(Rowwise(function, 1), signals, fixed, columns, others, station[columns], parameter[columns])
     return Parted(values, kept, steady)
 
 

@@ -28,7 +28,7 @@ def _error(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> Array:
 
 
 def _derivative(rows: Rows, chain: Chain, theta: Array, offsets: Array, first: int) -> Array:
-    return poses.residual(rows, chain, theta, first)[1]
+    return poses.residual(rows, chain.once, theta, first)[1]
 
 
 def _moved(rows: Rows, chain: Chain, theta: Array, offsets: Array, steps: Array) -> Array:
