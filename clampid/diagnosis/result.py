@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-import numpy as np
-
 from clampid.diagnosis.candidate_scores import CandidateScores
 from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.next_measurement import NextPlan, NextPoses
@@ -17,7 +15,6 @@ from clampid.effect import Stage
 from clampid.fitting.agreeing import Agreement
 from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
-from clampid.stages.rows import Rows
 
 __all__ = ["StageDiagnosis", "Step", "Verdict"]
 
@@ -47,13 +44,9 @@ class Step:
         """For people."""
         return ", ".join(term.label for term in self.terms)
 
-    def fit_of(self, terms: Sequence[Term], rows: Rows) -> FittedStage | None:
-        """The fit that it remembers, if that has these terms and was made of these rows."""
-        known = self.fitted
-        if known is None or set(known.model.terms) != set(terms) or known.rows.measured.shape != rows.measured.shape:
-            return None
-        same = np.array_equal(known.rows.measured, rows.measured) and np.array_equal(known.rows.used, rows.used)
-        return known if same else None
+    def fit_with(self, terms: Sequence[Term]) -> FittedStage | None:
+        """The fit that it remembers, if that has these terms."""
+        return self.fitted if self.fitted is not None and set(self.fitted.model.terms) == set(terms) else None
 
 
 @dataclass(repr=False)

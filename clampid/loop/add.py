@@ -26,7 +26,7 @@ from clampid.identification.identify import (
 )
 from clampid.identification.model_on_campaign import ModelOnCampaign, on_campaign
 from clampid.loop.change import Change, change_between
-from clampid.loop.resolving import by_effect, resolved
+from clampid.loop.resolving import Resolved, by_effect, resolved
 from clampid.models.model import Model, Round, StageModel
 from clampid.progress import in_parts
 from clampid.shown import Shown
@@ -291,15 +291,16 @@ def _stage_with(
             compared, verification, errors = begin(fitted.model, active)
             fitted = compared
         old, worse, rows = fitted.model, errors, fitted.rows
-        ready = None if others else step.fit_of((*old.terms, *step.terms), rows)
-        if ready is None:
-            new = resolved(step.terms, fitted, effects)
+        made = step.fit_with((*old.terms, *step.terms))
+        if made is not None and not others and _same(made.rows, rows):
+            fitted = made
+        else:  # a fit of other rows, or beside other stages, has the same terms identified, and is close
+            new = resolved(step.terms, fitted, effects) if made is None else Resolved(step.terms, made.model.values())
             if not new.terms:
                 left_out.append(step)
                 continue
-            every = (*old.terms, *new.terms)
-            ready = fit_stage(rows, effects, every, others, new.start, held_out, last=fitted.estimate)
-        fitted = ready
+            every, last = (*old.terms, *new.terms), fitted.estimate
+            fitted = fit_stage(rows, effects, every, others, new.start, held_out, last=last)
         errors = fitted.errors(verification, seed, floor)
         rounds.append(_round(old, fitted.model, worse, errors, step.evidence))
     if rounds and kind_of(stage).moving:
@@ -309,6 +310,11 @@ def _stage_with(
         rounds[-1] = replace(rounds[-1], rms=errors.rms, heldout_rms=errors.heldout_rms, evidence=known)
     change = partial(change_between, compared, fitted, held_out, verification, seed, floor)
     return _Mended(unmended, fitted, first, errors, tuple(rounds), tuple(left_out), change)
+
+
+def _same(one: Rows, other: Rows) -> bool:
+    """Whether two sets of rows have the same numbers, and use the same ones."""
+    return np.array_equal(one.measured, other.measured) and np.array_equal(one.used, other.used)
 
 
 def _round(

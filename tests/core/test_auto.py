@@ -17,6 +17,7 @@ from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.result import Step
 from clampid.diagnosis.scoring import scores_of
 from clampid.display import error_text
+from clampid.effect import Stage
 from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
@@ -162,26 +163,31 @@ def test_limits_are_those_of_what_is_not_in_the_model_in_the_end(arm: Campaign, 
     assert smallest[1] < 0.2 * smallest[0]
 
 
-def test_what_the_diagnosis_of_a_log_has_fitted_is_not_fitted_again(
-    simulated: Simulated, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("stage", "hidden", "start"),
+    [("free_air", "load_dependent_friction@joint2:3", None), ("poses", "thermal_expansion:3", START)],
+)
+def test_what_the_diagnosis_of_one_stage_has_fitted_is_not_fitted_again(
+    simulated: Simulated, monkeypatch: pytest.MonkeyPatch, stage: Stage, hidden: str, start: tuple[str, ...] | None
 ):
     """And it is the model that a fit of the same terms gives."""
-    campaign = simulated(seed=3, tables=("free_air",), hidden=("load_dependent_friction@joint2:3",))
-    model, found = auto(campaign)
+    campaign = simulated(seed=3, poses=100, tables=(stage,), hidden=(hidden,), robot="ur10")
+    model, found = auto(campaign, start)
     fitted: list[int] = []
 
     def counted(*args: Any, **options: Any) -> FittedStage:
         fitted.append(1)
         return fit_stage(*args, **options)
 
-    steps = found.stages["free_air"].steps
+    steps = found.stages[stage].steps
     assert steps
     assert all(step.fitted is None for step in steps)
     monkeypatch.setattr("clampid.loop.add.fit_stage", counted)
-    again, _ = add_steps(identify(campaign), campaign, {"free_air": steps})
+    first = identify(campaign, start)
+    again, _ = add_steps(first, campaign, {stage: steps})
     of_all = len(fitted)
-    mend(identify(campaign), campaign)
+    mend(first, campaign)
     assert len(fitted) - of_all == of_all - len(steps)
-    for slot, value in again.stages["free_air"].values().items():
-        size = np.sqrt(again.stages["free_air"].covariance.diagonal())[again.stages["free_air"].slots.index(slot)]
-        assert abs(model.stages["free_air"].values()[slot] - value) < 0.01 * max(size, 1e-12)
+    for slot, value in again.stages[stage].values().items():
+        size = np.sqrt(again.stages[stage].covariance.diagonal())[again.stages[stage].slots.index(slot)]
+        assert abs(model.stages[stage].values()[slot] - value) < 0.01 * max(size, 1e-12)
