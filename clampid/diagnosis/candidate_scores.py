@@ -93,6 +93,12 @@ class CandidateScores:
         """All significant names whose BIC justifies their parameters, except those whose labels are rejected."""
         return [s for s in standing_out_of(self.named, self.named_null) if s.candidate.label not in rejected]
 
+    def like(self, best: Scored, rejected: Collection[str]) -> list[Scored]:
+        """Other significant names that have much in common with the best one, and explain nearly as much."""
+        much = [s for s in self.standing_out(rejected) if s.explained >= STANDS_IN * best.explained]
+        apart = [s for s in much if not set(s.candidate.terms) & set(best.candidate.terms)]
+        return [s for s in apart if not s.candidate.is_variant_of(best.candidate) and canonical(best, s) > SHARED]
+
     @property
     def clearest(self) -> list[Scored]:
         """The best significant name and the best significant probe, as far as there are any."""
@@ -130,7 +136,7 @@ class CandidateScores:
         if not less or explained_together(self.space, best, self.probe) - self.probe.explained >= SAME:
             return False
         return not any(
-            explained_together(self.space, best, s) - best.cost - s.cost >= self.probe.bic
+            explained_together(self.space, best, s) - best.cost - s.cost >= self.probe.bic - SAME
             for s in self.named
             if s is not best and s.freedom and s.state in ABLE and s.bic > 0 and s.candidate.prior is None
         )

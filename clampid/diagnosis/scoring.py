@@ -17,6 +17,7 @@ from clampid.diagnosis.candidate_scores import (
 )
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.folds import stability_folds
+from clampid.diagnosis.impossible import SURE
 from clampid.diagnosis.noise_beside import with_noise_beside
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.wandering import whitened_by, with_wander
@@ -36,7 +37,6 @@ from kinematics.description import RobotDescription
 __all__ = ["probed_beside_what_stands_out", "scores_of"]
 
 NOISE_ROUNDS = 4  # in which noise is learned beside what stands out, at most
-SURE = 4.0  # standard errors by which it must be clear that a size is impossible
 WEIGHTLESS = 0.01  # of the weight's torque about the joint that bears most: nobody balances so little
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,11 +20,12 @@ from clampid.diagnosis.entries import confusable_with
 from clampid.diagnosis.falls import MOSTLY, FallTest, tested_everywhere
 from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, held_out_of
+from clampid.diagnosis.impossible import impossible_values
 from clampid.diagnosis.linear_refit import Step, at_fit, linear_refit, step_towards
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, bic_gap, pruned
 from clampid.diagnosis.scoring import probed_beside_what_stands_out, scores_of
-from clampid.diagnosis.tried import GivenAmbiguity, Left, Taken, Tried, Undecided
+from clampid.diagnosis.tried import Along, GivenAmbiguity, Left, Taken, Tried, Undecided
 from clampid.effect import Effect, Stage
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored, canonical
@@ -47,15 +47,6 @@ ONLY_BESIDE = "the held-out error falls only together with effects that these ro
 IMPOSSIBLE = "at no place is it possible: all of its values lie beyond their bounds"
 MOST_TRIALS = 8  # of the candidates of one set of scores, after which no more are tried
 ROUND_SHARE = 0.15  # of the work left that a part of a round takes: the number of rounds is unknown
-
-
-class _Along(NamedTuple):
-    """A candidate, its fit from the step towards it, the terms that BIC justifies, and its held-out errors."""
-
-    scored: Scored
-    fitted: FittedStage
-    kept: list[Term]
-    held_out: HeldOut
 
 
 @dataclass(frozen=True)
@@ -179,7 +170,11 @@ class Bench:
         if known is None:
             others += self._not_linear(scores, fitted, best, step, refused)
         fits = [self._fitted_along(s, near, fitted, held_out) for s, near in ((best, step), *others)]
-        return self._judged(fits, scores, held_out, {t.best.candidate.label for t in refused})
+        labels = {t.best.candidate.label for t in refused}
+        if known is None and self._cause_first(fits).impossible:
+            alike = [(s, _step(s, scores, fitted)) for s in scores.like(best, labels)]
+            fits += [self._fitted_along(s, near, fitted, held_out) for s, near in alike]
+        return self._judged(fits, scores, held_out, labels)
 
     def _undecided(
         self, best: Scored, rivals: Sequence[Scored], scores: CandidateScores, fitted: FittedStage, held_out: HeldOut
@@ -197,8 +192,8 @@ class Bench:
                 new = held_out_of(step.near, self.verification, self.floor, self.seed, self.block)
                 p, falls = self.falls(scores).of_step(held_out, new, s, fitted.estimate)
             else:  # one step is not the fit: only this decides
-                _, trial, kept, new = self._fitted_along(s, step, fitted, held_out)
-                p, falls = self.falls(scores).of_fit(s, trial.estimate, kept, held_out, new)
+                _, trial, kept, new, _ = along = self._fitted_along(s, step, fitted, held_out)
+                p, falls = self._fall(along, scores, held_out)
             if falls:
                 return Undecided([best, *rivals], scores)
             refusal = refusal or Tried(s, scores, trial, kept, new, p, 0.0, NO_FALL)
@@ -212,16 +207,25 @@ class Bench:
         """The test of a fall of the held-out error beside the noise of these scores."""
         return FallTest(self.effects, self.verification, self.seed, scores.wander, self.wander > 0.0)
 
+    def _fall(self, along: Along, scores: CandidateScores, held_out: HeldOut) -> tuple[float, bool]:
+        """As :meth:`clampid.diagnosis.falls.FallTest.of_fit`."""
+        best, trial, kept, new, _ = along
+        return self.falls(scores).of_fit(best, trial.estimate, kept, held_out, new)
+
     def _judged(
-        self, fits: Sequence[_Along], scores: CandidateScores, held_out: HeldOut, refused: Collection[str]
+        self, fits: Sequence[Along], scores: CandidateScores, held_out: HeldOut, refused: Collection[str]
     ) -> Tried | Undecided:
         """The decision on a candidate, the first, and its alternatives from their fits and held-out errors.
 
         The candidate must be the best of all names, except those ``refused`` by a trial, without most parts of the
         rows; or the best of the significant names without nearly all parts. Other names may explain more by chance.
+        What needs an impossible value, as of a spring, gives way to what lowers the error without.
         """
-        (best, trial, kept, new), level = self._likeliest([fit for fit in fits if fit.kept] or fits)
-        p_held_out, falls = self.falls(scores).of_fit(best, trial.estimate, kept, held_out, new)
+        able = [fit for fit in fits if fit.kept] or list(fits)
+        if any(fit.impossible for fit in able):
+            able = [fit for fit in able if not fit.impossible and self._fall(fit, scores, held_out)[1]] or able
+        chosen, level = self._likeliest(able)
+        (best, trial, kept, new, _), (p_held_out, falls) = chosen, self._fall(chosen, scores, held_out)
         if not kept:
             return Tried(best, scores, trial, kept, new, p_held_out, 0.0, IMPOSSIBLE)
         if falls and level:
@@ -244,7 +248,7 @@ class Bench:
                 return Tried(fits[0].scored, scores, trial, kept, new, p_held_out, again, UNSTABLE)
         return Tried(best, scores, trial, kept, new, p_held_out, again, "")
 
-    def _likeliest(self, fits: Sequence[_Along]) -> tuple[_Along, list[_Along]]:
+    def _likeliest(self, fits: Sequence[Along]) -> tuple[Along, list[Along]]:
         """The fit with the best held-out error, and fits of other effects that are neither worse nor less likely.
 
         At equal held-out errors an effect that needs many more parameters is no rival.
@@ -259,7 +263,7 @@ class Bench:
         first = 0 if odds[0] <= SAME else int(np.argmin(odds))
         return level[first], [level[k] for k in np.flatnonzero(odds <= SAME) if k != first]
 
-    def _cause_first(self, fits: Sequence[_Along]) -> _Along:
+    def _cause_first(self, fits: Sequence[Along]) -> Along:
         """The fit with the least held-out error; instead of a symptom its cause, if that is as good."""
         least = min(fits, key=lambda fit: fit.held_out.rms)
         causes = [fit for fit in fits if fit.scored.candidate.name in least.scored.candidate.describes]
@@ -278,7 +282,7 @@ class Bench:
         curved = [(s, own) for s, own in steps if own is not None and not (straight and own.linear)]
         return [(s, own) for s, own in curved if own.may_reach(step)]
 
-    def _fitted_along(self, s: Scored, step: Step | None, fitted: FittedStage, held_out: HeldOut) -> _Along:
+    def _fitted_along(self, s: Scored, step: Step | None, fitted: FittedStage, held_out: HeldOut) -> Along:
         """The fit with a candidate, without those of its places that BIC does not justify.
 
         A candidate that significantly raises the held-out error is refused as a whole; its places are not selected,
@@ -290,9 +294,10 @@ class Bench:
         if len(s.candidate.terms) > 1 and self._plain(s):
             whole = self.held_out(trial)
             if not held_out.exceed(whole) and whole.p_above(held_out, whole.noise, self.seed) <= HELD_OUT_RATE:
-                return _Along(s, trial, list(s.candidate.terms), whole)
+                return Along(s, trial, list(s.candidate.terms), whole, impossible=False)
         trial, kept = pruned(trial, s.candidate.terms, fitted.model.terms, self.refit)
-        return _Along(s, trial, kept, self.held_out(trial))
+        impossible = not impossible_values(trial.estimate) <= impossible_values(fitted.estimate)
+        return Along(s, trial, kept, self.held_out(trial), impossible)
 
     def confirm_given_ambiguity(
         self,

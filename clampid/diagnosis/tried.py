@@ -18,9 +18,22 @@ from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
 from clampid.stages.stage_kind import acts_with, stages_with
 
-__all__ = ["GivenAmbiguity", "Left", "Taken", "Tried", "Undecided"]
+__all__ = ["Along", "GivenAmbiguity", "Left", "Taken", "Tried", "Undecided"]
 
 ONE = 1.0  # what chance explains by one number, in units of the residual's variance
+
+
+class Along(NamedTuple):
+    """A candidate, its fit from the step towards it, the terms that BIC justifies, and its held-out errors.
+
+    ``impossible``: whether the fit has an impossible value that the fit without the candidate does not have.
+    """
+
+    scored: Scored
+    fitted: FittedStage
+    kept: list[Term]
+    held_out: HeldOut
+    impossible: bool
 
 
 @dataclass(frozen=True)
