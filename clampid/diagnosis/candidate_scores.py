@@ -43,6 +43,7 @@ VERY_STRONG = 10.0  # twice the log of the odds: evidence against a further numb
 # Names whose evidence differs by less are taken in the order of the dictionary, not as rounding says.
 SAME_EVIDENCE = 1e-3
 BY_CHANCE = 0.01
+MOST_RIVALS = 4  # of a candidate, that are named or fitted beside it
 ABLE = ("testable", "weak")
 
 
@@ -94,10 +95,11 @@ class CandidateScores:
         return [s for s in standing_out_of(self.named, self.named_null) if s.candidate.label not in rejected]
 
     def like(self, best: Scored, rejected: Collection[str]) -> list[Scored]:
-        """Other significant names that have much in common with the best one, and explain nearly as much."""
+        """Other significant names that have much in common with the best one, and explain nearly as much; the best."""
         much = [s for s in self.standing_out(rejected) if s.explained >= STANDS_IN * best.explained]
         apart = [s for s in much if not set(s.candidate.terms) & set(best.candidate.terms)]
-        return [s for s in apart if not s.candidate.is_variant_of(best.candidate) and canonical(best, s) > SHARED]
+        found = [s for s in apart if not s.candidate.is_variant_of(best.candidate) and canonical(best, s) > SHARED]
+        return sorted(found, key=lambda s: -s.bic)[:MOST_RIVALS]
 
     @property
     def clearest(self) -> list[Scored]:
@@ -199,7 +201,7 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
     kept = [
         s for s in found.values() if not any(set(o.candidate.terms) < set(s.candidate.terms) for o in found.values())
     ]
-    return kept[:4]
+    return kept[:MOST_RIVALS]
 
 
 def _has_simpler_variant(named: Sequence[Scored], s: Scored) -> bool:
