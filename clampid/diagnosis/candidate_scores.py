@@ -95,7 +95,7 @@ class CandidateScores:
         return [s for s in standing_out_of(self.named, self.named_null) if s.candidate.label not in rejected]
 
     def like(self, best: Scored, rejected: Collection[str]) -> list[Scored]:
-        """Other significant names that have much in common with the best one, and explain nearly as much; the best."""
+        """The best other significant names that have much in common with ``best``, and explain nearly as much."""
         much = [s for s in self.standing_out(rejected) if s.explained >= STANDS_IN * best.explained]
         apart = [s for s in much if not set(s.candidate.terms) & set(best.candidate.terms)]
         found = [s for s in apart if not s.candidate.is_variant_of(best.candidate) and canonical(best, s) > SHARED]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
 
@@ -17,9 +15,5 @@ def impossible_values(estimate: Estimate) -> frozenset[Slot]:
 
     Amplitudes may leave their bounds in a fit (:meth:`clampid.stages.fit_problem.FitProblem.bounded`).
     """
-    count = len(estimate.slots)
-    lower, upper = (b[:count] for b in estimate.problem.bounds())
-    value, variance = estimate.theta[:count], np.diag(estimate.covariance)[:count]
-    beyond = np.maximum(lower - value, value - upper) > SURE * np.sqrt(np.maximum(variance, 0.0))
-    found = np.flatnonzero(beyond & ~estimate.problem.fixed()[:count])
-    return frozenset(estimate.slots[k] for k in found)
+    beyond = estimate.beyond_bounds(SURE) & ~estimate.problem.fixed()
+    return frozenset(slot for slot, found in zip(estimate.slots, beyond, strict=False) if found)

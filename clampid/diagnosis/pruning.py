@@ -108,10 +108,8 @@ def _of(estimate: Estimate, term: Term) -> list[int]:
 
 def _impossible(estimate: Estimate, term: Term) -> bool:
     """Whether all amplitudes of a term that a fit has lie beyond their bounds."""
-    own, (lower, upper) = _of(estimate, term), estimate.problem.bounds()
-    index = [k for k in own if not estimate.problem.shapes()[k]]
-    theta = estimate.theta[index]
-    return bool(index) and bool(np.all((theta < lower[index]) | (theta > upper[index])))
+    index = [k for k in _of(estimate, term) if not estimate.problem.shapes()[k]]
+    return bool(index) and bool(np.all(estimate.beyond_bounds()[index]))
 
 
 def _costs(estimate: Estimate, terms: Sequence[Term]) -> dict[Term, float]:

@@ -83,6 +83,12 @@ class Estimate:
         """Standard errors ``(P + K,)``."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
+    def beyond_bounds(self, errors: float = 0.0) -> Bools:
+        """Which parameters ``(P + K,)`` lie beyond their physical bounds by more than so many standard errors."""
+        lower, upper = self.problem.bounds()
+        margin = errors * self.std
+        return np.asarray((self.theta + margin < lower) | (self.theta - margin > upper))
+
     @property
     def identified(self) -> Bools:
         """Which parameters ``(P + K,)`` have a standard error small enough to count as identified."""

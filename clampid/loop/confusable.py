@@ -226,8 +226,6 @@ def _in_its_place(space: Space, first: Scored, others: list[Scored], effects: Ma
 
 def _beyond(estimate: Estimate, term: Term) -> bool:
     """Whether an amplitude of a term lies beyond its bounds by more than two standard errors."""
-    lower, upper = estimate.problem.bounds()
     shapes = estimate.problem.shapes()
     index = [k for k, s in enumerate(estimate.slots) if Term(s.effect, s.place) == term and not shapes[k]]
-    theta, std = estimate.theta[index], estimate.std[index]
-    return bool(np.any((theta + 2.0 * std < lower[index]) | (theta - 2.0 * std > upper[index])))
+    return bool(np.any(estimate.beyond_bounds(2.0)[index]))
