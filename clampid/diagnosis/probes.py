@@ -76,7 +76,7 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     elapsed = _scaled(s["elapsed"])
     slow = np.column_stack([elapsed, elapsed**2])
     found: list[Candidate | None] = []
-    levers = _levers(estimate, sensitivity[:, :, offsets["joint_angle"]])
+    levers = Levers.of(estimate, sensitivity[:, :, offsets["joint_angle"]])
     around = _surroundings(rows)
     others = _by_other_joints(rows)
     common, alone = [*others, *around], [c for c in others if len(c[1]) == 1]
@@ -91,18 +91,17 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
             warm = _scaled(s[f"{kind}_temperature"][:, j])
             own.append((f"temp_{kind}{j + 1}", (f"temp_{kind}{j + 1}",), warm[:, None]))
         own += [c for c in common if c[1] != (f"q{j + 1}",)]
-        found += [_at(levers, [j], f"joint{j + 1}", what, variables, x) for what, variables, x in own]
+        found += _at(levers, [j], f"joint{j + 1}", own)
     frames = [("base", offsets["base_twist"].start), ("flange", offsets["link_twist"].stop - 6)]
     frames += [(f"link{i + 1}", offsets["link_twist"].start + 6 * i) for i in range(n - 1)]
     for name, start in frames:
-        frame = _levers(estimate, sensitivity[:, :, start : start + 6])
-        found.append(_at(frame, range(6), name, "time", ("time",), elapsed[:, None]))
         link = int(name[4:]) if name.startswith("link") else (1 if name == "base" else n)
         warm = _scaled(s["link_temperature"][:, link - 1])
-        found.append(_at(frame, range(6), name, f"temp_link{link}", (f"temp_link{link}",), warm[:, None]))
-        found += [_at(frame, range(6), name, what, variables, x) for what, variables, x in around]
+        own = [("time", ("time",), elapsed[:, None]), (f"temp_link{link}", (f"temp_link{link}",), warm[:, None])]
+        own += around
         if name in ("base", "flange"):  # what turns or stops there moves them, and no joint's error can say it
-            found += [_at(frame, range(6), name, what, variables, x) for what, variables, x in alone]
+            own += alone
+        found += _at(Levers.of(estimate, sensitivity[:, :, start : start + 6]), range(6), name, own)
     place = np.column_stack([_scaled(column) for column in rows.signals["position"].T])
     readings: list[Covariate] = [(f"position along {a}", (a,), place[:, k, None]) for k, a in enumerate("xyz")]
     for (i, a), (k, b) in combinations_with_replacement(enumerate("xyz"), 2):
@@ -147,21 +146,16 @@ def _by_other_joints(rows: Rows) -> list[Covariate]:
     return out
 
 
-def _levers(estimate: Estimate, unit: Array) -> Levers:
-    """Whitened change of the measurement ``(N, m, k)`` by a unit at each of some places."""
-    rows = estimate.problem.rows
-    white = estimate.noise.whiten(rows, np.zeros(unit.shape[:2]), unit)
-    return Levers(white.jacobian, white.entry, len(rows))
-
-
-def _at(
-    levers: Levers, chosen: Sequence[int], place: str, what: str, variables: Sequence[str], x: Array
-) -> Candidate | None:
-    """A pose probe: levers at a place, times functions of the row ``(N, f)``; positions and rotations are white."""
-    if not np.any(levers.values[:, list(chosen)]) or not np.any(x):
-        return None
-    columns = Products(levers, tuple(chosen), (x,) * len(chosen))
-    return Candidate(f"{what} at {place}", "probe", (), (), {}, columns, tuple(variables), (place,))
+def _at(levers: Levers, chosen: Sequence[int], place: str, covariates: Sequence[Covariate]) -> list[Candidate]:
+    """Pose probes: levers at a place, times each covariate; positions and rotations are white."""
+    if not np.any(levers.values[:, list(chosen)]):
+        return []
+    own = [c for c in covariates if np.any(c[2])]
+    columns = levers.columns([Products(levers, tuple(chosen), (x,) * len(chosen)) for _, _, x in own])
+    return [
+        Candidate(f"{what} at {place}", "probe", (), (), {}, kept, tuple(variables), (place,))
+        for (what, variables, _), kept in zip(own, columns, strict=True)
+    ]
 
 
 def _periodic(rows: Rows, levers: Levers) -> Candidate | None:
@@ -180,7 +174,7 @@ def _periodic(rows: Rows, levers: Levers) -> Candidate | None:
         return None
     joints = np.flatnonzero(seen)
     functions = tuple(_harmonics(rows.signals["q"][:, j], PERIODIC) for j in joints)
-    columns = Products(levers, tuple(joints.tolist()), functions)
+    columns = levers.columns([Products(levers, tuple(joints.tolist()), functions)])[0]
     return Candidate(
         name=JOINT_ANGLE_PERIODIC,
         family="probe",

@@ -1,15 +1,21 @@
-"""Whitened Jacobian columns of candidates, stored as the blocks in which they are not zero."""
+"""Whitened Jacobian columns of candidates, stored as the blocks in which they are not zero.
+
+Columns of pose candidates are often products: a place's derivatives times functions of the row. Where noise is
+independent from row to row, they are stored as such. Where readings wander, a whitened number depends on the rows
+before it as well, so products are formed first and whitened then.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 from scipy import sparse
 
 from clampid.fitting.noise import Whitened
+from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["Columns", "Joined", "Levers", "Products", "Sums", "channel_starts", "columns_from"]
@@ -99,21 +105,44 @@ class Columns:
 
 @dataclass(frozen=True, eq=False)
 class Levers:
-    """Derivatives of the whitened entries by a deviation at each place.
+    """Derivatives of the entries by a deviation at each place.
 
     Attributes
     ----------
     values
-        ``(M, n)``: derivative of each entry by a unit deviation at each place.
+        ``(M, n)``: derivative of each entry, in units of its noise, by a unit deviation at each place.
     entry
         ``(M,)``: the row that each entry belongs to.
     rows
         Number of rows N.
+    channels
+        First and last + 1 of each channel's entries.
+    innovations
+        Of readings that wander: turns columns ``(M, k)``, in place, into their whitened ones. None where each entry is
+        independent of all others.
     """
 
     values: Array
     entry: Integers
     rows: int
+    channels: tuple[tuple[int, int], ...] = ()
+    innovations: Callable[[Array], Array] | None = None
+
+    @staticmethod
+    def of(estimate: Estimate, unit: Array) -> Levers:
+        """Levers of poses, from the change of the measurement ``(N, m, n)``, SI, by a unit at each place."""
+        rows, noise = estimate.problem.rows, estimate.noise
+        plain = replace(noise, wander=()).whiten(rows, np.zeros(unit.shape[:2]), unit)
+        wandering = noise.innovations(rows, plain.entry, plain.channel) if any(noise.wander) else None
+        return Levers(plain.jacobian, plain.entry, len(rows), channel_starts(plain), wandering)
+
+    def columns(self, products: Sequence[Products]) -> Sequence[Columns | Products]:
+        """Whitened columns of products of these levers: themselves where each entry is independent."""
+        if self.innovations is None or not products:
+            return products
+        whole = self.innovations(np.hstack([p.dense(len(self.entry)) for p in products]))
+        each = np.split(whole, np.cumsum([p.width for p in products], dtype=int)[:-1], axis=1)
+        return [Columns(tuple((a, block[a:b]) for a, b in self.channels), block.shape[1]) for block in each]
 
     def by_row(self, weights: Array) -> Array:
         """Sums ``(N,)`` of weights ``(M,)`` over the entries of each row."""

@@ -28,10 +28,10 @@ from scipy import optimize, sparse
 
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate, is_sought
-from clampid.evidence.columns import Columns, channel_starts
+from clampid.evidence.columns import Columns, Levers, channel_starts
 from clampid.evidence.score import WEAK_BELOW, Scored, score
 from clampid.evidence.space import Space, space_of
-from clampid.fitting.noise import MAD_TO_STD, Whitened
+from clampid.fitting.noise import MAD_TO_STD
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term
 from clampid.stages import poses
@@ -67,7 +67,7 @@ class _Tried:
         ``(V,)``: error of the joint's angle at each visit, in robust standard deviations over the visits (from their
         median), clipped at :data:`LARGEST_RESIDUAL_IN_NULL`.
     levers
-        Whitened derivatives by the joints' angles.
+        Derivatives by the joints' angles.
     """
 
     effect: Effect
@@ -76,7 +76,7 @@ class _Tried:
     explained: Array
     weight: sparse.csc_matrix
     visit_error: Array
-    levers: Whitened
+    levers: Levers
 
     def statistic(self, visit_error: Array) -> Array:
         """What each angle explains of visit errors ``(..., V)``: ``(..., C)``, of mean 1 under the null."""
@@ -132,8 +132,7 @@ def _all_places(
         return []
     theta, offsets = estimate.theta[: len(estimate.slots)], estimate.problem.chain.offsets
     _, sensitivity = poses.by_station(rows, poses.evaluate(rows, estimate.problem.chain, theta))
-    unit = sensitivity[:, :, offsets["joint_angle"]]
-    levers = estimate.noise.whiten(rows, np.zeros(unit.shape[:2]), unit)
+    levers = Levers.of(estimate, sensitivity[:, :, offsets["joint_angle"]])
     active = {(slot.effect, slot.place) for slot in estimate.slots}
     found = []
     for effect in wanted:
@@ -167,13 +166,13 @@ def _places(
     space: Space,
     effect: Effect,
     j: int,
-    levers: Whitened,
+    levers: Levers,
     tables: list[tuple[Mapping[str, float], Array]],
 ) -> _Tried | None:
     """An effect at all angles of one joint; None if no pose shows it at any."""
     rows = estimate.problem.rows
     at = np.rint(np.mod(rows.signals["q"][:, j], 2.0 * np.pi) * ANGLES_PER_TURN / (2.0 * np.pi)).astype(np.int64)
-    lever = levers.jacobian[:, j]
+    lever = levers.values[:, j]
     seen = np.zeros(len(rows), dtype=bool)
     seen[levers.entry[lever != 0.0]] = True
     _, visit = np.unique(rows.unit, return_inverse=True)
@@ -191,6 +190,8 @@ def _places(
     if not shapes:
         return None
     D = (sparse.diags(lever) @ sparse.csr_matrix(np.array(functions).T)[levers.entry]).tocsc()
+    if levers.innovations is not None:
+        D = sparse.csc_matrix(levers.innovations(D.toarray()))
     absorbed = np.asarray(D.T @ space.basis[: space.rows])  # (C, r)
     gram = np.asarray(D.multiply(D).sum(axis=0)).ravel()
     left = gram - np.sum(absorbed**2, axis=1)
@@ -249,7 +250,8 @@ def _column(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -> A
     amplitude = next(p.name for p in tried.effect.parameters if not p.shape)
     p: Any = SimpleNamespace(**{amplitude: 1.0, **shapes})
     values = np.asarray(tried.effect.acts["joint_angle"](p, SimpleNamespace(q=q)), dtype=float).ravel()
-    return np.asarray(tried.levers.jacobian[:, tried.joint] * values[tried.levers.entry])
+    column = np.asarray(tried.levers.values[:, tried.joint] * values[tried.levers.entry])
+    return column if tried.levers.innovations is None else tried.levers.innovations(column[:, None])[:, 0]
 
 
 def _candidate(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -> Candidate:

@@ -6,6 +6,7 @@ Jacobian both pass the filter of `clampid.stages.prewhitening`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Protocol
@@ -184,11 +185,26 @@ class Noise:
         sigma, columns = self.sigma[entry, channel], jacobian[entry, channel]
         columns /= sigma[:, None]  # in place: the Jacobian of a long table is the largest array
         white = residual[entry, channel] / sigma
-        for number in np.flatnonzero(self.wander).tolist():
-            own = channel == number
-            both = self._without_wander(rows, number, entry[own], np.c_[white[own], columns[own]])
-            white[own], columns[own] = both[:, 0], both[:, 1:]
+        if any(self.wander):
+            both = self.innovations(rows, entry, channel)(np.c_[white, columns])
+            white, columns = both[:, 0], both[:, 1:]
         return Whitened(white, columns, entry, channel)
+
+    def innovations(self, rows: Rows, entry: Integers, channel: Integers) -> Callable[[Array], Array]:
+        """What takes from columns of poses, in place, what the wandering level before each number predicts of it.
+
+        The columns ``(M, k)`` are in units of the noise; ``entry`` and ``channel`` ``(M,)`` are row and channel of each
+        of their numbers.
+        """
+        numbers = np.flatnonzero(self.wander).tolist()
+        courses = [(own := np.flatnonzero(channel == c), course_of(rows, entry[own]), self.wander[c]) for c in numbers]
+
+        def taken(columns: Array) -> Array:
+            for own, course, wander in courses:
+                columns[own] = course.innovations(columns[own], wander)[0]
+            return columns
+
+        return taken
 
     def whiten_sparse(self, rows: Rows, residual: Array, jacobian: SparseColumns) -> Whitened:
         """The same of a log, from the columns that are not zero."""

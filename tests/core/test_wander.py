@@ -9,14 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clampid.catalogue import catalogue
 from clampid.diagnosis.diagnose import diagnose
+from clampid.diagnosis.probes import probes
 from clampid.diagnosis.scoring import scores_of
-from clampid.diagnosis.wandering import WANDERS, with_wander
+from clampid.diagnosis.wandering import WANDERS, whitened_by, with_wander
+from clampid.evidence.scan import scan
+from clampid.evidence.space import space_of
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
 from clampid.fitting.wander import Course, course_of, wander_of
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
+from clampid.slots import Slot
+from clampid.stages import poses
 from experiments.campaign import Campaign, read_campaign
 from experiments.second_world import draw_robot, measure
 
@@ -120,6 +126,33 @@ def test_residual_and_columns_pass_one_filter(simulated: Callable[..., Campaign]
         shown = plain.shown_level(rows, int(channel)) if one_level else None
         expected = course_of(rows, white.entry[own], shown).innovations(both, 1e-3)[0]
         np.testing.assert_allclose(np.c_[found.residual[own], found.jacobian[own]], expected, atol=1e-9)
+
+
+def test_probes_and_bumps_pass_the_filter_after_they_are_formed(simulated: Callable[..., Campaign]) -> None:
+    """A number of a reading that wanders shows the rows before it: their angles too, not only its own row's."""
+    campaign = simulated(seed=3, poses=40, tables=("poses",))
+    opened = on_campaign(identify(campaign), campaign)
+    estimate = opened.refit("poses", opened.rows("poses")).estimate
+    problem, rows = estimate.problem, estimate.problem.rows
+    noise = replace(estimate.noise, wander=(0.3,) * rows.measured.shape[1])
+    wandering = whitened_by(estimate, noise)
+    count, q = len(wandering.whitened.residual), rows.signals["q"][:, 2]
+    _, by_station = poses.by_station(rows, poses.evaluate(rows, problem.chain, estimate.theta[: len(problem.slots)]))
+    lever = by_station[:, :, problem.chain.offsets["joint_angle"].start + 2]
+
+    def expected(*functions: np.ndarray) -> np.ndarray:
+        columns = lever[:, :, None] * np.stack(functions, axis=-1)[:, None]
+        return noise.whiten(rows, np.zeros(columns.shape[:2]), columns).jacobian
+
+    (probe,) = (p for p in probes(wandering) if p.label.startswith("harmonics of q3 at joint3"))
+    waves = [f(k * q) for k in (1, 2, 3) for f in (np.sin, np.cos)]
+    np.testing.assert_allclose(probe.columns.dense(count), expected(*waves), atol=1e-9)
+    known = {"local_angle_error": catalogue()["local_angle_error"]}
+    (bump,) = (s for s in scan(wandering, space_of(wandering), known, 99, 0) if s.candidate.places == ("joint3",))
+    middle, width = (bump.candidate.shapes[Slot("local_angle_error", name, "joint3")] for name in ("middle", "width"))
+    away = np.abs(np.remainder(q - middle + np.pi, 2.0 * np.pi) - np.pi)
+    shape = np.where(away < width / 2.0, 0.5 * (1.0 + np.cos(2.0 * np.pi * away / width)), 0.0)
+    np.testing.assert_allclose(bump.candidate.columns.dense(count), expected(shape), atol=1e-9)
 
 
 @pytest.mark.slow
