@@ -7,6 +7,7 @@ names its place and the variables on which it depends: one recorded variable, or
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations, combinations_with_replacement
 
 import numpy as np
@@ -29,7 +30,8 @@ OTHERS = 6  # of another joint's revolution, in a motor's torque: rollers, teeth
 SWINGS = 8  # of an instrument's readings over the campaign: air conditioning, doors
 RANGES = 6  # of a motor's speed
 PERIODIC = 40  # harmonics of a joint's revolution: 32 or fewer leave much of a ragged curve
-PERIODIC_SIZE = 3e-4  # rad, rms: the upper end of errors of joints' transmissions and encoders
+SURFACE = 3  # harmonics of each of two angles, on which a joint's error depends
+ANGLE_SIZE = 3e-4  # rad, rms: the upper end of errors of joints' transmissions and encoders
 
 
 def probes(estimate: Estimate) -> list[Candidate]:
@@ -79,7 +81,6 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     levers = Levers.of(estimate, sensitivity[:, :, offsets["joint_angle"]])
     around = _surroundings(rows)
     others = _by_other_joints(rows)
-    common, alone = [*others, *around], [c for c in others if len(c[1]) == 1]
     for j in range(n):
         q, load = s["q"][:, j], _scaled(s["gravity_torque"][:, j])
         own: list[Covariate] = [
@@ -90,7 +91,7 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
         for kind in ("link", "motor"):
             warm = _scaled(s[f"{kind}_temperature"][:, j])
             own.append((f"temp_{kind}{j + 1}", (f"temp_{kind}{j + 1}",), warm[:, None]))
-        own += [c for c in common if c[1] != (f"q{j + 1}",)]
+        own += [c for c in (*others, *_by_two_other_angles(rows, j), *around) if c[1] != (f"q{j + 1}",)]
         found += _at(levers, [j], f"joint{j + 1}", own)
     frames = [("base", offsets["base_twist"].start), ("flange", offsets["link_twist"].stop - 6)]
     frames += [(f"link{i + 1}", offsets["link_twist"].start + 6 * i) for i in range(n - 1)]
@@ -100,7 +101,7 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
         own = [("time", ("time",), elapsed[:, None]), (f"temp_link{link}", (f"temp_link{link}",), warm[:, None])]
         own += around
         if name in ("base", "flange"):  # what turns or stops there moves them, and no joint's error can say it
-            own += alone
+            own += others
         found += _at(Levers.of(estimate, sensitivity[:, :, start : start + 6]), range(6), name, own)
     place = np.column_stack([_scaled(column) for column in rows.signals["position"].T])
     readings: list[Covariate] = [(f"position along {a}", (a,), place[:, k, None]) for k, a in enumerate("xyz")]
@@ -115,6 +116,8 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
         for axis in range(3):
             columns[:, axis, axis * count : (axis + 1) * count] = reading
         found.append(_probe(estimate, "instrument", what, variables, columns))
+    for j in range(n):  # after all simpler ones, which are preferred where they explain as much
+        found += _at(levers, [j], f"joint{j + 1}", _surfaces(rows, j), ANGLE_SIZE)
     found.append(_periodic(rows, levers))
     return [p for p in found if p is not None]
 
@@ -127,42 +130,74 @@ def _surroundings(rows: Rows) -> list[Covariate]:
 
 
 def _by_other_joints(rows: Rows) -> list[Covariate]:
-    """Covariates of any joint's error besides harmonics of its own angle: other angles, directions, products."""
+    """Covariates of the error of any joint or of base and flange: an angle, a direction, or one times the other."""
     s, n = rows.signals, rows.robot.n
-    waves = [_harmonics(s["q"][:, k], 2) for k in range(n)]
+    waves = [_harmonics(s["q"][:, k], 1) for k in range(n)]
     out: list[Covariate] = []
     for k in range(n):
         q, d, name = s["q"][:, k], s["direction"][:, k], k + 1
-        out.append((f"harmonics of q{name}", (f"q{name}",), waves[k][:, :2]))
+        out.append((f"harmonics of q{name}", (f"q{name}",), waves[k]))
         out.append((f"dir{name}", (f"dir{name}",), d[:, None]))
         out.append((f"q{name} times dir{name}", (f"q{name}", f"dir{name}"), (_scaled(q) * d)[:, None]))
         for i in range(n):
             other = f"q{i + 1}"
-            if i < k:
-                both = (waves[i][:, :, None] * waves[k][:, None, :]).reshape(len(rows), -1)
-                out.append((f"products of {other} and q{name}", (other, f"q{name}"), both))
             if i != k:
-                out.append((f"{other} times dir{name}", (other, f"dir{name}"), waves[i][:, :2] * d[:, None]))
+                out.append((f"{other} times dir{name}", (other, f"dir{name}"), waves[i] * d[:, None]))
     return out
 
 
-def _at(levers: Levers, chosen: Sequence[int], place: str, covariates: Sequence[Covariate]) -> list[Candidate]:
-    """Pose probes: levers at a place, times each covariate; positions and rotations are white."""
+def _by_two_other_angles(rows: Rows, joint: int) -> list[Covariate]:
+    """Covariates of a joint's error: products of two other joints' angles."""
+    q = rows.signals["q"]
+    waves = {k: _harmonics(q[:, k], 2) for k in range(rows.robot.n) if k != joint}
+    return [
+        (f"products of q{i + 1} and q{k + 1}", (f"q{i + 1}", f"q{k + 1}"), _products(waves[i], waves[k]))
+        for i, k in combinations(waves, 2)
+    ]
+
+
+def _surfaces(rows: Rows, joint: int) -> list[Covariate]:
+    """Any smooth function of a joint's own angle and another one, for each other joint."""
+    q, n = rows.signals["q"], rows.robot.n
+    waves = [np.column_stack([np.ones(len(rows)), _harmonics(q[:, k], SURFACE)]) for k in range(n)]
+    return [
+        (f"surface over {a} and {b}", (a, b), _products(waves[i], waves[k])[:, 1:])
+        for i, k in (sorted((joint, other)) for other in range(n) if other != joint)
+        for a, b in [(f"q{i + 1}", f"q{k + 1}")]
+    ]
+
+
+def _products(a: Array, b: Array) -> Array:
+    """All products ``(N, f g)`` of functions ``(N, f)`` and ``(N, g)``."""
+    return (a[:, :, None] * b[:, None, :]).reshape(len(a), -1)
+
+
+def _at(
+    levers: Levers, chosen: Sequence[int], place: str, covariates: Sequence[Covariate], size: float | None = None
+) -> list[Candidate]:
+    """Pose probes: levers at a place, times each covariate.
+
+    With a ``size``, SI, each has a prior: its functions have one standard deviation, their sum this rms over the rows.
+    """
     if not np.any(levers.values[:, list(chosen)]):
         return []
     own = [c for c in covariates if np.any(c[2])]
     columns = levers.columns([Products(levers, tuple(chosen), (x,) * len(chosen)) for _, _, x in own])
-    return [
-        Candidate(f"{what} at {place}", "probe", (), (), {}, kept, tuple(variables), (place,))
-        for (what, variables, _), kept in zip(own, columns, strict=True)
-    ]
+    found = []
+    for (what, variables, x), kept in zip(own, columns, strict=True):
+        probe = Candidate(f"{what} at {place}", "probe", (), (), {}, kept, tuple(variables), (place,))
+        if size is not None:
+            each = size / float(np.sqrt(np.mean(np.sum(x**2, axis=1))))
+            probe = replace(probe, prior=np.full(kept.width, each), sizes=SIZES)
+        found.append(probe)
+    return found
 
 
 def _periodic(rows: Rows, levers: Levers) -> Candidate | None:
     """Errors of all joint angles, each any periodic function of its own joint, down to a few degrees' width.
 
     All joints at once: a single joint would absorb the others' errors, and none would be significant. The many columns
-    are regularised by a prior: their total rms is at most :data:`PERIODIC_SIZE`, spread evenly.
+    are regularised by a prior: their total rms is at most :data:`ANGLE_SIZE`, spread evenly.
 
     Parameters
     ----------
@@ -184,7 +219,7 @@ def _periodic(rows: Rows, levers: Levers) -> Candidate | None:
         columns=columns,
         depends_on=tuple(f"q{j + 1}" for j in joints),
         places=tuple(f"joint{j + 1}" for j in joints),
-        prior=np.full(columns.width, PERIODIC_SIZE / PERIODIC**0.5),
+        prior=np.full(columns.width, ANGLE_SIZE / PERIODIC**0.5),
         sizes=SIZES,
     )
 
@@ -199,8 +234,7 @@ def _log_covariates(rows: Rows, borne: Array) -> list[list[Covariate]]:
     waves = [_harmonics(s["q"][:, k], 1) for k in range(n)]
     pairs: list[Covariate] = []
     for k, i in combinations(range(n), 2):
-        both = (waves[k][:, :, None] * waves[i][:, None, :]).reshape(len(rows), -1)
-        pairs.append((f"products of q{k + 1} and q{i + 1}", (f"q{k + 1}", f"q{i + 1}"), both))
+        pairs.append((f"products of q{k + 1} and q{i + 1}", (f"q{k + 1}", f"q{i + 1}"), _products(waves[k], waves[i])))
     out = []
     for i in range(n):
         w, sign, q = _scaled(s["motor_speed"][:, i]), s["motor_motion"][:, i], s["q"][:, i]
