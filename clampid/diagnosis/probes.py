@@ -30,7 +30,7 @@ OTHERS = 6  # of another joint's revolution, in a motor's torque: rollers, teeth
 SWINGS = 8  # of an instrument's readings over the campaign: air conditioning, doors
 RANGES = 6  # of a motor's speed
 PERIODIC = 40  # harmonics of a joint's revolution: 32 or fewer leave much of a ragged curve
-SURFACE = 3  # harmonics of each of two angles, on which a joint's error depends
+SURFACE = 2  # harmonics of each of two angles, on which the error of a joint or motor depends
 ANGLE_SIZE = 3e-4  # rad, rms: the upper end of errors of joints' transmissions and encoders
 
 
@@ -40,7 +40,7 @@ def probes(estimate: Estimate) -> list[Candidate]:
     if rows.kind.points:
         return _pose_probes(estimate)
     if rows.kind.moving:
-        return _motor_probes(estimate, _log_covariates(rows, estimate.problem.loads(estimate.theta)))
+        return _motor_probes(estimate, _log_covariates(rows, estimate.problem.loads(estimate.theta)), surfaces=True)
     return _motor_probes(estimate, _sweep_covariates(rows)) if rows.kind.solved else []
 
 
@@ -183,14 +183,17 @@ def _at(
         return []
     own = [c for c in covariates if np.any(c[2])]
     columns = levers.columns([Products(levers, tuple(chosen), (x,) * len(chosen)) for _, _, x in own])
-    found = []
-    for (what, variables, x), kept in zip(own, columns, strict=True):
-        probe = Candidate(f"{what} at {place}", "probe", (), (), {}, kept, tuple(variables), (place,))
-        if size is not None:
-            each = size / float(np.sqrt(np.mean(np.sum(x**2, axis=1))))
-            probe = replace(probe, prior=np.full(kept.width, each), sizes=SIZES)
-        found.append(probe)
-    return found
+    return [_of(place, c, kept, size) for c, kept in zip(own, columns, strict=True)]
+
+
+def _of(place: str, covariate: Covariate, columns: Columns | Products, size: float | None = None) -> Candidate:
+    """A probe of a covariate at a place, from its whitened columns; ``size`` as of :func:`_at`."""
+    what, variables, x = covariate
+    probe = Candidate(f"{what} at {place}", "probe", (), (), {}, columns, variables, (place,))
+    if size is None:
+        return probe
+    each = size / float(np.sqrt(np.mean(np.sum(x**2, axis=1))))
+    return replace(probe, prior=np.full(columns.width, each), sizes=SIZES)
 
 
 def _periodic(rows: Rows, levers: Levers) -> Candidate | None:
@@ -230,7 +233,7 @@ def _log_covariates(rows: Rows, borne: Array) -> list[list[Covariate]]:
     T = np.asarray(rows.robot.transmission)
     elapsed, around = _scaled(s["elapsed"]), _surroundings(rows)
     loads = borne @ T.T
-    sizes = np.abs(loads) / np.maximum(loads.std(axis=0), 1e-300)
+    sizes, torques = (np.abs(x) / np.maximum(x.std(axis=0), 1e-300) for x in (loads, rows.measured[:, :n]))
     waves = [_harmonics(s["q"][:, k], 1) for k in range(n)]
     pairs: list[Covariate] = []
     for k, i in combinations(range(n), 2):
@@ -279,8 +282,10 @@ def _log_covariates(rows: Rows, borne: Array) -> list[list[Covariate]]:
                 own.append((f"motion times q{other}", (f"qd{name}", f"q{other}"), sign[:, None] * waves[k]))
                 dragged = s["motor_motion"][:, k, None] * waves[k]
                 own.append((f"motion of motor {other} times q{other}", (f"qd{other}", f"q{other}"), dragged))
-                pressed = moved * sizes[:, k, None]
-                own.append((f"motion times load of motor {other}", (f"qd{name}", f"tau{other}"), pressed))
+                both = f"qd{name}", f"tau{other}"
+                own.append((f"motion times load of motor {other}", both, moved * sizes[:, k, None]))
+                # As measured it has the torque that accelerates its rotor, and all that the model lacks of it.
+                own.append((f"motion times torque of motor {other}", both, moved * torques[:, k, None]))
         own += pairs
         out.append(own)
     return out
@@ -336,23 +341,34 @@ def _sweep_covariates(rows: Rows) -> list[list[Covariate]]:
     return out
 
 
-def _motor_probes(estimate: Estimate, covariates: Sequence[Sequence[Covariate]]) -> list[Candidate]:
-    """Probes of torques: each motor's error against its covariates."""
+def _motor_probes(
+    estimate: Estimate, covariates: Sequence[Sequence[Covariate]], surfaces: bool = False
+) -> list[Candidate]:
+    """Probes of torques: each motor's error against its covariates, and then against surfaces of the size of noise."""
     rows, white = estimate.problem.rows, estimate.whitened
-    found = []
-    for start, stop in channel_starts(white):
-        i = int(white.channel[start])
-        own = covariates[i]
-        stacked = np.concatenate([x for _, _, x in own], axis=1)
-        block = estimate.noise.whiten_channel(rows, i, stacked)
-        first = 0
-        for what, variables, x in own:
-            part = np.ascontiguousarray(block[:, first : first + x.shape[1]])
-            first += x.shape[1]
-            if np.any(part):
-                kept = Columns(((start, part),), x.shape[1])
-                place = f"motor{i + 1}"
-                found.append(Candidate(f"{what} at {place}", "probe", (), (), {}, kept, tuple(variables), (place,)))
-        if stop - start != len(block):
-            raise ValueError(f"motor {i + 1}: expected {stop - start} whitened rows, found {len(block)}")
+    channels = [(start, stop, int(white.channel[start])) for start, stop in channel_starts(white)]
+    found = [p for start, stop, i in channels for p in _of_motor(estimate, start, stop, covariates[i])]
+    if surfaces:  # after all simpler ones, which are preferred where they explain as much
+        for start, stop, i in channels:
+            noise = float(np.median(estimate.noise.sigma[:, i]))
+            found += _of_motor(estimate, start, stop, _surfaces(rows, i), noise)
+    return found
+
+
+def _of_motor(
+    estimate: Estimate, start: int, stop: int, covariates: Sequence[Covariate], size: float | None = None
+) -> list[Candidate]:
+    """Probes of the motor whose whitened numbers are those from ``start`` to ``stop``; ``size`` as of :func:`_at`."""
+    i = int(estimate.whitened.channel[start])
+    stacked = np.concatenate([x for _, _, x in covariates], axis=1)
+    block = estimate.noise.whiten_channel(estimate.problem.rows, i, stacked)
+    if stop - start != len(block):
+        raise ValueError(f"motor {i + 1}: expected {stop - start} whitened rows, found {len(block)}")
+    found, first = [], 0
+    for covariate in covariates:
+        width = covariate[2].shape[1]
+        part = np.ascontiguousarray(block[:, first : first + width])
+        first += width
+        if np.any(part):
+            found.append(_of(f"motor{i + 1}", covariate, Columns(((start, part),), width), size))
     return found
