@@ -233,7 +233,7 @@ def _log_covariates(rows: Rows, borne: Array) -> list[list[Covariate]]:
     T = np.asarray(rows.robot.transmission)
     elapsed, around = _scaled(s["elapsed"]), _surroundings(rows)
     loads = borne @ T.T
-    sizes, torques = (np.abs(x) / np.maximum(x.std(axis=0), 1e-300) for x in (loads, rows.measured[:, :n]))
+    sizes = np.abs(loads) / np.maximum(loads.std(axis=0), 1e-300)
     waves = [_harmonics(s["q"][:, k], 1) for k in range(n)]
     pairs: list[Covariate] = []
     for k, i in combinations(range(n), 2):
@@ -282,10 +282,8 @@ def _log_covariates(rows: Rows, borne: Array) -> list[list[Covariate]]:
                 own.append((f"motion times q{other}", (f"qd{name}", f"q{other}"), sign[:, None] * waves[k]))
                 dragged = s["motor_motion"][:, k, None] * waves[k]
                 own.append((f"motion of motor {other} times q{other}", (f"qd{other}", f"q{other}"), dragged))
-                both = f"qd{name}", f"tau{other}"
-                own.append((f"motion times load of motor {other}", both, moved * sizes[:, k, None]))
-                # As measured it has the torque that accelerates its rotor, and all that the model lacks of it.
-                own.append((f"motion times torque of motor {other}", both, moved * torques[:, k, None]))
+                pressed = moved * sizes[:, k, None]
+                own.append((f"motion times load of motor {other}", (f"qd{name}", f"tau{other}"), pressed))
         own += pairs
         out.append(own)
     return out

@@ -57,7 +57,6 @@ def test_friction_by_another_joints_load_is_found_at_its_motor(tmp_path: Path) -
         pytest.param("friction_of_both", 173, marks=pytest.mark.study),
         ("friction_of_both", 3700),  # beside readings that wander
         ("friction_of_both", 3712),  # by a load of more than the described weight
-        ("friction_of_both", 3713),  # by the torque that accelerates the other motor's rotor, too
         ("dragged_cable", 173),
         ("torque_surface", 174),
         ("resonance", 174),
