@@ -6,7 +6,7 @@ import numpy as np
 
 from experiments.second_world.arrays import Array, stream
 
-__all__ = ["NOISES", "Noise", "choose_noise", "draw_noise", "rounded"]
+__all__ = ["NOISES", "Noise", "choose_noise", "covariance", "draw_noise", "rounded"]
 
 
 @dataclass(frozen=True)
@@ -100,6 +100,38 @@ def draw_noise(noise: Noise, std: Array, group: Array, rng: np.random.Generator)
             slow = np.cumsum(rng.standard_normal((m, shape[1])), axis=0) / np.sqrt(m / 2)
         x = np.sqrt(0.75) * x + 0.5 * slow[which]
     return np.asarray(std * x)
+
+
+def covariance(noise: Noise, count: int) -> Array:
+    """
+    Give the covariance of one column's noise over visits or samples, but for its steps.
+
+    Parameters
+    ----------
+    noise
+        Its kind. Heavy tails are taken as the normal noise that determines a mean as well: of t with 4 degrees of
+        freedom, that of 0.7 of the variance.
+    count
+        How many visits or samples there are.
+
+    Returns
+    -------
+    Array
+        In units of the variance (count, count).
+    """
+    if noise.kind == "student":
+        return 0.7 * np.eye(count)
+    if noise.kind == "pink":
+        f = np.fft.rfftfreq(2 * count)
+        f[0] = f[1]
+        product = np.fft.irfft(1.0 / f)[:count]
+        place = np.arange(count)
+        slow = product[np.abs(np.subtract.outer(place, place))]
+        return np.asarray(0.75 * np.eye(count) + 0.25 * slow / (product[0] - slow.mean()))  # about its mean it has 1
+    if noise.kind == "walk":
+        steps = np.arange(1, count + 1) / (count / 2)
+        return np.asarray(0.75 * np.eye(count) + 0.25 * np.minimum.outer(steps, steps))
+    return np.eye(count)
 
 
 def rounded(values: Array, step: Array | float) -> Array:

@@ -25,7 +25,14 @@ from experiments.second_world.session import (
 )
 from experiments.second_world.states import PoseState
 
-__all__ = ["NOTHING", "magnitude_for", "pose_std_m", "size_in_sigma"]
+__all__ = [
+    "NOTHING",
+    "magnitude_for",
+    "pose_std_m",
+    "size_in_sigma",
+    "standard_pose_columns",
+    "standard_torque_columns",
+]
 
 _ROWS = 1500  # of a log, that a refit of the standard model is judged by
 _WHITE: SessionChoice = {"noise": "white"}
@@ -78,10 +85,21 @@ def _nudge(kind: str, joint: int, axis: int, size: float) -> Active:
     return Active((), bend=bend)
 
 
-def _standard_pose_columns(session: Session) -> Array:
-    """Derivatives (3NK, p) of the points by geometry, springs, friction, clearances, base and targets.
+def standard_pose_columns(session: Session) -> Array:
+    """
+    Differentiate the points by geometry, springs, friction, clearances, base and targets.
 
     Dry friction winds a spring up against the approach. Of a joint without load a clearance does the same.
+
+    Parameters
+    ----------
+    session
+        Of which the visits of the table `poses` are taken.
+
+    Returns
+    -------
+    Array
+        Derivatives (N, K, 3, p) in the instrument's frame, m per SI unit of each parameter.
     """
     visits = session.visits
     plain = points_seen(session, visits, [])
@@ -102,8 +120,20 @@ def _standard_pose_columns(session: Session) -> Array:
     return np.stack(columns, axis=-1)  # (N, K, 3, p)
 
 
-def _standard_torque_columns(session: Session, rows: list[int]) -> Array:
-    """Derivatives (rows, n, p) of the torques by rigid bodies, rotors, viscous and Coulomb friction."""
+def standard_torque_columns(session: Session, rows: list[int]) -> Array:
+    """
+    Differentiate the torques by rigid bodies, rotors, viscous and Coulomb friction.
+
+    Parameters
+    ----------
+    session, rows
+        Of which the log is taken, and which R of its samples.
+
+    Returns
+    -------
+    Array
+        Derivatives (R, n, p), Nm per SI unit of each parameter.
+    """
     robot, log = session.robot, session.motion
     model = rigid_body_model(robot.arm, robot.tool, robot.gravity_m_s2)
     data = model.createData()
@@ -120,7 +150,7 @@ Sizer = Callable[[Sequence[Active]], float]
 
 def _pose_sizer(session: Session, beyond_standard: bool) -> Sizer:
     plain, std = points_seen(session, session.visits, []), pose_std_m(session)
-    columns = _standard_pose_columns(session) / std[:, None] if beyond_standard else np.zeros((*plain.shape, 0))
+    columns = standard_pose_columns(session) / std[:, None] if beyond_standard else np.zeros((*plain.shape, 0))
 
     def size(actives: Sequence[Active]) -> float:
         added = (points_seen(session, session.visits, actives) - plain) / std
@@ -136,7 +166,7 @@ def _torque_sizer(session: Session, beyond_standard: bool) -> Sizer:
     columns = np.zeros((len(rows), len(std), 0))
     if beyond_standard:
         rows = rows[:: -(-len(rows) // _ROWS)]
-        columns = _standard_torque_columns(session, rows) / std[:, None]
+        columns = standard_torque_columns(session, rows) / std[:, None]
 
     def size(actives: Sequence[Active]) -> float:
         added = ((torques(session, session.motion, actives) - plain) / std)[rows]

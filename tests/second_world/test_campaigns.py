@@ -13,7 +13,7 @@ import pytest
 import experiments.second_world as world
 from experiments.second_world import LOG_PROGRAMS, NOISES, POSE_PROGRAMS, ROBOTS, draw_robot, measure
 from experiments.second_world.noise import NOISES as KINDS
-from experiments.second_world.noise import draw_noise
+from experiments.second_world.noise import covariance, draw_noise
 from experiments.second_world.session import open_session, points_seen, torques
 
 CASES = [
@@ -134,3 +134,13 @@ def test_what_may_be_chosen_is_public():
     assert all(hasattr(world, name) for name in world.__all__)
     assert {"line24", "two_sided"} <= set(POSE_PROGRAMS)
     assert {p.kind for p in LOG_PROGRAMS.values()} == {"trapezoids", "fourier"}
+
+
+@pytest.mark.parametrize("kind", ["white", "walk", "pink"])
+def test_the_covariance_is_that_of_the_draws(kind: str):
+    """Of pink noise, each column of which has exactly the same spread, to a twentieth."""
+    count, columns = 60, 20_000
+    drawn = draw_noise(KINDS[kind], np.ones(columns), np.arange(float(count)), np.random.default_rng(3))
+    found, stated = drawn @ drawn.T / columns, covariance(KINDS[kind], count)
+    off = np.sqrt((np.outer(np.diag(stated), np.diag(stated)) + stated**2) / columns)
+    assert np.all(np.abs(found - stated) < 5.0 * off + (0.05 if kind == "pink" else 0.0))
