@@ -197,11 +197,13 @@ class Noise:
         of their numbers.
         """
         numbers = np.flatnonzero(self.wander).tolist()
-        courses = [(own := np.flatnonzero(channel == c), course_of(rows, entry[own]), self.wander[c]) for c in numbers]
+        channels = [
+            (own := np.flatnonzero(channel == c), course_of(rows, entry[own]).filter(self.wander[c])) for c in numbers
+        ]
 
         def taken(columns: Array) -> Array:
-            for own, course, wander in courses:
-                columns[own] = course.innovations(columns[own], wander)[0]
+            for own, filtered in channels:
+                columns[own] = filtered(columns[own])
             return columns
 
         return taken

@@ -24,7 +24,7 @@ from scipy import interpolate, linalg, stats
 from clampid.stages.presliding import recurrence
 from clampid.stages.rows import Array, Integers, Rows
 
-__all__ = ["WANDER_FALSE_ALARMS", "Course", "Wander", "course_of", "in_time", "wander_of"]
+__all__ = ["WANDER_FALSE_ALARMS", "Course", "Filter", "Wander", "course_of", "in_time", "wander_of"]
 
 WANDER_FALSE_ALARMS = 0.01  # probability that a random walk is found in a reading without one
 UPPER_LIMIT_CHANCE = 0.05  # probability that q exceeds its upper limit; 9 % in logs of some hundred rows
@@ -56,6 +56,11 @@ class Course:
 
         ``wander``: variance of the level per step, in units of the variance of a number.
         """
+        found = self.filter(wander)
+        return found(values), np.log(found.variance)
+
+    def filter(self, wander: float) -> Filter:
+        """What makes innovations of columns, for one variance per step."""
         shown = (np.ones(len(self.order)) if self.shown is None else self.shown)[self.order]
         gains, spreads, variance, wander = list[float](), list[float](), 0.0, float(wander)
         # Plain numbers: those of numpy take three times as long one by one.
@@ -65,12 +70,39 @@ class Course:
             gains.append(variance * share / larger)
             spreads.append(larger)
             variance /= larger  # (1 - gain share) variance
-        gain, spread, x = np.array(gains), np.array(spreads), values[self.order]
-        level = recurrence((1.0 - gain * shown)[:, None], gain[:, None] * x)
-        before = np.vstack([np.zeros((1, x.shape[1])), level[:-1]])
+        return Filter(self.order, shown, np.array(gains), np.array(spreads))
+
+
+@dataclass(frozen=True)
+class Filter:
+    """The Kalman filter of a local level, which predicts each number from those before it.
+
+    Attributes
+    ----------
+    order
+        Indices of the numbers in their order in time ``(k,)``; all others are in this order.
+    shown
+        How much of the level each number shows ``(k,)``.
+    gain
+        Change of the level by each number ``(k,)``, per unit of what was not predicted.
+    variance
+        Variance ``(k,)`` of what was not predicted, in units of that of a number.
+    """
+
+    order: Integers
+    shown: Array
+    gain: Array
+    variance: Array
+
+    def __call__(self, values: Array) -> Array:
+        """Innovations ``(k, c)`` of columns ``values`` ``(k, c)``, of unit variance."""
+        x = values[self.order]
+        level = recurrence((1.0 - self.gain * self.shown)[:, None], self.gain[:, None] * x)
+        x[1:] -= self.shown[1:, None] * level[:-1]
+        x /= np.sqrt(self.variance)[:, None]
         out = np.empty_like(x)
-        out[self.order] = (x - shown[:, None] * before) / np.sqrt(spread)[:, None]
-        return out, np.log(spread)
+        out[self.order] = x
+        return out
 
 
 def course_of(rows: Rows, entry: Integers, shown: Array | None = None) -> Course:
