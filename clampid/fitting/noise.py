@@ -186,8 +186,9 @@ class Noise:
         columns /= sigma[:, None]  # in place: the Jacobian of a long table is the largest array
         white = residual[entry, channel] / sigma
         if any(self.wander):
-            both = self.innovations(rows, entry, channel)(np.c_[white, columns])
-            white, columns = both[:, 0], both[:, 1:]
+            whitened = self.innovations(rows, entry, channel)
+            whitened(white[:, None])
+            whitened(columns)
         return Whitened(white, columns, entry, channel)
 
     def innovations(self, rows: Rows, entry: Integers, channel: Integers) -> Callable[[Array], Array]:
