@@ -40,7 +40,8 @@ def probes(estimate: Estimate) -> list[Candidate]:
     if rows.kind.points:
         return _pose_probes(estimate)
     if rows.kind.moving:
-        return _motor_probes(estimate, _log_covariates(rows, estimate.problem.loads(estimate.theta)), surfaces=True)
+        of_one = _motor_probes(estimate, _log_covariates(rows, estimate.problem.loads(estimate.theta)))
+        return [*of_one, *_motor_surfaces(estimate)]  # the simpler ones are preferred where they explain as much
     return _motor_probes(estimate, _sweep_covariates(rows)) if rows.kind.solved else []
 
 
@@ -80,7 +81,7 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     found: list[Candidate | None] = []
     levers = Levers.of(estimate, sensitivity[:, :, offsets["joint_angle"]])
     around = _surroundings(rows)
-    others = _by_other_joints(rows)
+    others, pairs = _by_other_joints(rows), _by_two_angles(rows)
     for j in range(n):
         q, load = s["q"][:, j], _scaled(s["gravity_torque"][:, j])
         own: list[Covariate] = [
@@ -91,7 +92,8 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
         for kind in ("link", "motor"):
             warm = _scaled(s[f"{kind}_temperature"][:, j])
             own.append((f"temp_{kind}{j + 1}", (f"temp_{kind}{j + 1}",), warm[:, None]))
-        own += [c for c in (*others, *_by_two_other_angles(rows, j), *around) if c[1] != (f"q{j + 1}",)]
+        of_others = [c for c in pairs if f"q{j + 1}" not in c[1]]
+        own += [c for c in (*others, *of_others, *around) if c[1] != (f"q{j + 1}",)]
         found += _at(levers, [j], f"joint{j + 1}", own)
     frames = [("base", offsets["base_twist"].start), ("flange", offsets["link_twist"].stop - 6)]
     frames += [(f"link{i + 1}", offsets["link_twist"].start + 6 * i) for i in range(n - 1)]
@@ -116,8 +118,9 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
         for axis in range(3):
             columns[:, axis, axis * count : (axis + 1) * count] = reading
         found.append(_probe(estimate, "instrument", what, variables, columns))
+    waves = _surface_waves(rows)
     for j in range(n):  # after all simpler ones, which are preferred where they explain as much
-        found += _at(levers, [j], f"joint{j + 1}", _surfaces(rows, j), ANGLE_SIZE)
+        found += _at(levers, [j], f"joint{j + 1}", _surfaces(waves, j), ANGLE_SIZE)
     found.append(_periodic(rows, levers))
     return [p for p in found if p is not None]
 
@@ -146,24 +149,29 @@ def _by_other_joints(rows: Rows) -> list[Covariate]:
     return out
 
 
-def _by_two_other_angles(rows: Rows, joint: int) -> list[Covariate]:
-    """Covariates of a joint's error: products of two other joints' angles."""
+def _by_two_angles(rows: Rows) -> list[Covariate]:
+    """Products of the angles of two joints, for the error of any third one."""
     q = rows.signals["q"]
-    waves = {k: _harmonics(q[:, k], 2) for k in range(rows.robot.n) if k != joint}
+    waves = [_harmonics(q[:, k], 2) for k in range(rows.robot.n)]
     return [
         (f"products of q{i + 1} and q{k + 1}", (f"q{i + 1}", f"q{k + 1}"), _products(waves[i], waves[k]))
-        for i, k in combinations(waves, 2)
+        for i, k in combinations(range(rows.robot.n), 2)
     ]
 
 
-def _surfaces(rows: Rows, joint: int) -> list[Covariate]:
+def _surface_waves(rows: Rows) -> list[Array]:
+    """One and the harmonics of each joint's angle ``(N, 1 + 2 SURFACE)``, of whose products surfaces consist."""
+    q = rows.signals["q"]
+    return [np.column_stack([np.ones(len(rows)), _harmonics(q[:, k], SURFACE)]) for k in range(rows.robot.n)]
+
+
+def _surfaces(waves: Sequence[Array], joint: int) -> list[Covariate]:
     """Any smooth function of a joint's own angle and another one, for each other joint."""
-    q, n = rows.signals["q"], rows.robot.n
-    waves = [np.column_stack([np.ones(len(rows)), _harmonics(q[:, k], SURFACE)]) for k in range(n)]
+    pairs = [sorted((joint, other)) for other in range(len(waves)) if other != joint]
+    names = [(f"q{i + 1}", f"q{k + 1}") for i, k in pairs]
     return [
         (f"surface over {a} and {b}", (a, b), _products(waves[i], waves[k])[:, 1:])
-        for i, k in (sorted((joint, other)) for other in range(n) if other != joint)
-        for a, b in [(f"q{i + 1}", f"q{k + 1}")]
+        for (a, b), (i, k) in zip(names, pairs, strict=True)
     ]
 
 
@@ -339,17 +347,23 @@ def _sweep_covariates(rows: Rows) -> list[list[Covariate]]:
     return out
 
 
-def _motor_probes(
-    estimate: Estimate, covariates: Sequence[Sequence[Covariate]], surfaces: bool = False
-) -> list[Candidate]:
-    """Probes of torques: each motor's error against its covariates, and then against surfaces of the size of noise."""
-    rows, white = estimate.problem.rows, estimate.whitened
-    channels = [(start, stop, int(white.channel[start])) for start, stop in channel_starts(white)]
-    found = [p for start, stop, i in channels for p in _of_motor(estimate, start, stop, covariates[i])]
-    if surfaces:  # after all simpler ones, which are preferred where they explain as much
-        for start, stop, i in channels:
-            noise = float(np.median(estimate.noise.sigma[:, i]))
-            found += _of_motor(estimate, start, stop, _surfaces(rows, i), noise)
+def _motor_probes(estimate: Estimate, covariates: Sequence[Sequence[Covariate]]) -> list[Candidate]:
+    """Probes of torques: each motor's error against its covariates."""
+    white = estimate.whitened
+    return [
+        probe
+        for start, stop in channel_starts(white)
+        for probe in _of_motor(estimate, start, stop, covariates[int(white.channel[start])])
+    ]
+
+
+def _motor_surfaces(estimate: Estimate) -> list[Candidate]:
+    """Probes of torques: each motor's error as a surface over two angles, of the size of its noise."""
+    white, waves, found = estimate.whitened, _surface_waves(estimate.problem.rows), list[Candidate]()
+    for start, stop in channel_starts(white):
+        i = int(white.channel[start])
+        noise = float(np.median(estimate.noise.sigma[:, i]))
+        found += _of_motor(estimate, start, stop, _surfaces(waves, i), noise)
     return found
 
 

@@ -258,7 +258,7 @@ class Noise:
         """Innovations of whitened columns ``(k, c)`` of one channel, given its random-walk level as it is shown."""
         if not self.wander or self.wander[channel] == 0.0:
             return white
-        return course_of(rows, entry, shown).innovations(white, self.wander[channel])[0]
+        return course_of(rows, entry, shown).filter(self.wander[channel])(white)
 
     def _middle(self, rows: Rows, index: Integers) -> Integers:
         """The row of each whitened value ``(g,)``: the used row itself, or the middle row of a group."""
