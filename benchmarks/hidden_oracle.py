@@ -28,22 +28,22 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from hidden_second import SecondBench
-from hidden_worlds import WORLDS
+from hidden_second import SECOND_FAMILIES, SECOND_OUTSIDE, SecondBench
+from hidden_table import untestable
+from hidden_trial import MOST_ALTERNATIVES
 from scipy import linalg, stats
 
 from experiments.second_world.arrays import Array
 from experiments.second_world.hidden import HIDDEN, Active
 from experiments.second_world.noise import covariance
 from experiments.second_world.session import Session, activate, open_session, points_seen, torques
-from experiments.second_world.sizing import standard_pose_columns, standard_torque_columns
+from experiments.second_world.sizing import beyond, standard_pose_columns, standard_torque_columns
 
 DRAWS = 4000
 FALSE_ALARMS = 0.01
 MOST_SAMPLES = 6500  # of a log with correlated noise
-MOST_ALTERNATIVES = 3
-LEFT_OUT = {"payload"}  # it is absorbed by the standard set
-NUDGE, INDEPENDENT, ABSORBED = 1e-5, 1e-9, 1e-7
+NUDGE, ABSORBED = 1e-5, 1e-7
+CASES = (*SECOND_FAMILIES, *SECOND_OUTSIDE)
 
 
 @dataclass(frozen=True)
@@ -74,15 +74,10 @@ def poses_of(session: Session) -> View:
     levers = by_joint.reshape(N, 3 * K, n) / NUDGE
     jitter = np.broadcast_to(session.robot.repeatability_rad, n) ** 2 + noise.count_rad**2 / 12.0
     whole = np.zeros((N, K, 3, N, K, 3))
-    slow = covariance(noise, N)
-    white = 0.75 if noise.kind in ("walk", "pink") else 1.0  # of which each number has its own
+    of_one = covariance(noise, np.repeat(np.arange(float(N)), K))
     for a, std in enumerate(session.instrument.std_m):
-        for k in range(K):
-            for other in range(K):
-                shared = slow if k == other else slow - white * np.eye(N)
-                if k == other or white < 1.0:
-                    whole[:, k, a, :, other, a] += std**2 * shared
-            whole[np.arange(N), k, a, np.arange(N), k, a] += noise.position_step_m**2 / 12.0
+        numbers = std**2 * of_one + noise.position_step_m**2 / 12.0 * np.eye(N * K)
+        whole[:, :, a, :, :, a] = numbers.reshape(N, K, N, K)
     flat = whole.reshape(N, 3 * K, N, 3 * K)
     for v in range(N):
         flat[v, :, v] += (levers[v] * jitter) @ levers[v].T
@@ -101,18 +96,17 @@ def torques_of(session: Session) -> View | None:
     """The log of free air; None if its noise is correlated over too many samples."""
     plain, noise = torques(session, session.motion, []), session.noise
     samples, n = plain.shape
+    time, step = np.arange(float(samples)), noise.torque_step**2 / 12.0
     L = None
-    if noise.kind in ("walk", "pink"):
+    if noise.has_slow_part:
         if samples > MOST_SAMPLES:
             return None
-        L = linalg.cholesky(covariance(noise, samples), lower=True)
-    spread = np.sqrt((covariance(noise, 1)[0, 0] if L is None else 1.0) + noise.torque_step**2 / 12.0)
+        L = linalg.cholesky(covariance(noise, time) + step * np.eye(samples), lower=True)
+    spread = np.sqrt(covariance(noise, time[:1])[0, 0] + step)
 
     def whitened(columns: Array) -> Array:
-        of_motors = (
-            np.moveaxis(columns.reshape(samples, n, -1), 1, 0) / (session.robot.torque_std_Nm * spread)[:, None, None]
-        )
-        parts = [of_motor if L is None else linalg.solve_triangular(L, of_motor, lower=True) for of_motor in of_motors]
+        of_motors = np.moveaxis(columns.reshape(samples, n, -1), 1, 0) / session.robot.torque_std_Nm[:, None, None]
+        parts = [x / spread if L is None else linalg.solve_triangular(L, x, lower=True) for x in of_motors]
         return np.concatenate(parts)
 
     standard = standard_torque_columns(session, list(range(samples))).reshape(plain.size, -1)
@@ -123,7 +117,7 @@ def torques_of(session: Session) -> View | None:
 
 def judged(row: dict[str, Any]) -> dict[str, Any] | None:
     """What the test finds in the trial of a line of results; None where it is passed over."""
-    case = next(c for cases in WORLDS["second"].cases.values() for c in cases if c.label == row["case"])
+    case = next(c for c in CASES if c.label == row["case"])
     with tempfile.TemporaryDirectory() as folder:
         bench = SecondBench(case, row["seed"], 0, Path(folder))
         magnitude, size = bench.magnitude(case.hidden[0], row["size"])
@@ -132,20 +126,16 @@ def judged(row: dict[str, Any]) -> dict[str, Any] | None:
     if view is None:
         return None
     rivals = [
-        (other, place)
-        for other, effect in HIDDEN.items()
-        if case.stage in effect.tables and other not in LEFT_OUT
-        for place in effect.places(session.robot.n)
-        if (other, place) != (name, where)
+        (other.hidden[0], place)
+        for other in CASES
+        if other.stage == case.stage
+        for place in HIDDEN[other.hidden[0]].places(session.robot.n)
+        if (other.hidden[0], place) != (name, where)
     ]
     asked = [(name, where, magnitude), *((other, place, 1.0) for other, place in rivals)]
     columns = np.stack([view.change([law]) for *_, law in activate(session, asked)], axis=1)
     shown = np.linalg.norm(columns, axis=0)
-    length = np.linalg.norm(view.standard, axis=0)
-    U, sizes, _ = np.linalg.svd(view.standard[:, length > 0] / length[length > 0], full_matrices=False)
-    U = U[:, sizes > INDEPENDENT * sizes[0]]
-    for _ in range(2):
-        columns -= U @ (U.T @ columns)
+    columns = beyond(columns, view.standard)
     left = np.linalg.norm(columns, axis=0)
     able = left > ABSORBED * np.maximum(shown, 1e-300)
     if not able[0]:
@@ -182,7 +172,7 @@ def main() -> None:
     lines = [json.loads(line) for line in options.results.read_text().splitlines()]
     wanted = [r for r in lines if r.get("world") == "second" and r["kind"] in ("single", "outside")]
     found = []
-    for row in (r for r in wanted if r["stage"] in options.stages.split(",") and r["sizes"][0] >= 0.5 * r["size"]):
+    for row in (r for r in wanted if r["stage"] in options.stages.split(",") and not untestable(r)):
         one = judged(row)
         print(f"{row['case']} {row['seed']}: passed over" if one is None else json.dumps(one), flush=True)
         found += [] if one is None else [one]

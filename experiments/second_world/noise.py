@@ -22,6 +22,11 @@ class Noise:
     position_step_m: float = 0.0
     torque_step: float = 0.0  # step of the torque signal over its standard deviation
 
+    @property
+    def has_slow_part(self) -> bool:
+        """Whether a part of it goes on from visit to visit, or sample to sample."""
+        return self.kind in ("walk", "pink")
+
 
 NOISES: dict[str, Noise] = {
     "white": Noise("white", "laser tracker", 3.0e-5),
@@ -58,11 +63,20 @@ def choose_noise(name: str | None, seed: int) -> tuple[str, Noise]:
     return name, NOISES[name]
 
 
-def _pink(rng: np.random.Generator, rows: int, columns: int) -> Array:
-    """1/f noise of unit variance (rows, columns), shaped in the spectrum."""
+_SLOW = 0.25  # of the variance, in noise with a slow part
+
+
+def _pink_frequencies(rows: int) -> Array:
+    """Frequencies of twice as many rows, over which 1/f noise is shaped; the first as the second."""
     f = np.fft.rfftfreq(2 * rows)
     f[0] = f[1]
-    spectrum = np.fft.rfft(rng.standard_normal((2 * rows, columns)), axis=0) / np.sqrt(f)[:, None]
+    return np.asarray(f, dtype=np.float64)
+
+
+def _pink(rng: np.random.Generator, rows: int, columns: int) -> Array:
+    """1/f noise of unit variance (rows, columns), shaped in the spectrum."""
+    spectrum = np.fft.rfft(rng.standard_normal((2 * rows, columns)), axis=0)
+    spectrum = spectrum / np.sqrt(_pink_frequencies(rows))[:, None]
     x = np.fft.irfft(spectrum, axis=0)[:rows]
     return np.asarray(x / x.std(axis=0))
 
@@ -91,47 +105,48 @@ def draw_noise(noise: Noise, std: Array, group: Array, rng: np.random.Generator)
     if noise.kind == "student":
         return np.asarray(std * rng.standard_t(4, shape) / np.sqrt(2.0))
     x = rng.standard_normal(shape)
-    if noise.kind in ("walk", "pink"):
+    if noise.has_slow_part:
         numbers, which = np.unique(group, return_inverse=True)
         m = len(numbers)
         if noise.kind == "pink":
             slow = _pink(rng, m, shape[1])
         else:
             slow = np.cumsum(rng.standard_normal((m, shape[1])), axis=0) / np.sqrt(m / 2)
-        x = np.sqrt(0.75) * x + 0.5 * slow[which]
+        x = np.sqrt(1.0 - _SLOW) * x + np.sqrt(_SLOW) * slow[which]
     return np.asarray(std * x)
 
 
-def covariance(noise: Noise, count: int) -> Array:
+def covariance(noise: Noise, group: Array) -> Array:
     """
-    Give the covariance of one column's noise over visits or samples, but for its steps.
+    Give the covariance of one column of what `draw_noise` draws.
 
     Parameters
     ----------
     noise
         Its kind. Heavy tails are taken as the normal noise that determines a mean as well: of t with 4 degrees of
         freedom, that of 0.7 of the variance.
-    count
-        How many visits or samples there are.
+    group
+        Which rows (R,) share the slow part, as of `draw_noise`.
 
     Returns
     -------
     Array
-        In units of the variance (count, count).
+        In units of the variance (R, R).
     """
+    own = np.eye(len(group))
     if noise.kind == "student":
-        return 0.7 * np.eye(count)
+        return 0.7 * own
+    if not noise.has_slow_part:
+        return own
+    numbers, which = np.unique(group, return_inverse=True)
+    place = np.arange(len(numbers))
     if noise.kind == "pink":
-        f = np.fft.rfftfreq(2 * count)
-        f[0] = f[1]
-        product = np.fft.irfft(1.0 / f)[:count]
-        place = np.arange(count)
+        product = np.fft.irfft(1.0 / _pink_frequencies(len(place)))[: len(place)]
         slow = product[np.abs(np.subtract.outer(place, place))]
-        return np.asarray(0.75 * np.eye(count) + 0.25 * slow / (product[0] - slow.mean()))  # about its mean it has 1
-    if noise.kind == "walk":
-        steps = np.arange(1, count + 1) / (count / 2)
-        return np.asarray(0.75 * np.eye(count) + 0.25 * np.minimum.outer(steps, steps))
-    return np.eye(count)
+        slow = slow / (product[0] - slow.mean())  # about its mean it has a variance of 1
+    else:
+        slow = np.minimum.outer(place + 1.0, place + 1.0) / (len(place) / 2)
+    return np.asarray((1.0 - _SLOW) * own + _SLOW * slow[np.ix_(which, which)])
 
 
 def rounded(values: Array, step: Array | float) -> Array:

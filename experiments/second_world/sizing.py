@@ -27,6 +27,7 @@ from experiments.second_world.states import PoseState
 
 __all__ = [
     "NOTHING",
+    "beyond",
     "magnitude_for",
     "pose_std_m",
     "size_in_sigma",
@@ -52,8 +53,22 @@ def _rms(whitened: Array) -> float:
     return float(np.sqrt((whitened**2).mean()))
 
 
-def _beyond(values: Array, columns: Array) -> Array:
-    """Residual of values (M,) after a least-squares fit of columns (M, p)."""
+def beyond(values: Array, columns: Array) -> Array:
+    """
+    Take from values what a least-squares fit of columns explains of them.
+
+    Parameters
+    ----------
+    values
+        One column (M,), or several (M, c).
+    columns
+        What is fitted (M, p); it may be dependent.
+
+    Returns
+    -------
+    Array
+        What is left, of the shape of the values.
+    """
     if not columns.shape[1]:
         return values
     scale = np.linalg.norm(columns, axis=0)
@@ -154,7 +169,7 @@ def _pose_sizer(session: Session, beyond_standard: bool) -> Sizer:
 
     def size(actives: Sequence[Active]) -> float:
         added = (points_seen(session, session.visits, actives) - plain) / std
-        return _rms(_beyond(added.ravel(), columns.reshape(added.size, -1)))
+        return _rms(beyond(added.ravel(), columns.reshape(added.size, -1)))
 
     return size
 
@@ -170,7 +185,7 @@ def _torque_sizer(session: Session, beyond_standard: bool) -> Sizer:
 
     def size(actives: Sequence[Active]) -> float:
         added = ((torques(session, session.motion, actives) - plain) / std)[rows]
-        return _rms(_beyond(added.ravel(), columns.reshape(added.size, -1)))
+        return _rms(beyond(added.ravel(), columns.reshape(added.size, -1)))
 
     return size
 

@@ -141,6 +141,6 @@ def test_the_covariance_is_that_of_the_draws(kind: str):
     """Of pink noise, each column of which has exactly the same spread, to a twentieth."""
     count, columns = 60, 20_000
     drawn = draw_noise(KINDS[kind], np.ones(columns), np.arange(float(count)), np.random.default_rng(3))
-    found, stated = drawn @ drawn.T / columns, covariance(KINDS[kind], count)
+    found, stated = drawn @ drawn.T / columns, covariance(KINDS[kind], np.arange(float(count)))
     off = np.sqrt((np.outer(np.diag(stated), np.diag(stated)) + stated**2) / columns)
     assert np.all(np.abs(found - stated) < 5.0 * off + (0.05 if kind == "pink" else 0.0))
