@@ -1,6 +1,7 @@
 """Types of arrays, seeded streams of random numbers, and rotations of many vectors at once."""
 
 import zlib
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +49,8 @@ def exp_so3(v: Array) -> Array:
     Array
         Rotations (..., 3, 3).
     """
+    if not v.any():  # most joints neither tilt nor turn
+        return np.broadcast_to(np.eye(3), (*v.shape[:-1], 3, 3))
     angle = np.linalg.norm(v, axis=-1)[..., None, None]
     small = angle < 1e-9
     safe = np.where(small, 1.0, angle)
@@ -62,8 +65,15 @@ def exp_so3(v: Array) -> Array:
 
 def rpy_rotation(rpy: Array) -> Array:
     """Rotation Rz(yaw)·Ry(pitch)·Rx(roll) (3, 3) of roll, pitch and yaw (3,), rad: the order of URDF."""
+    return _rpy_rotation(*(float(angle) for angle in rpy))
+
+
+@cache
+def _rpy_rotation(roll: float, pitch: float, yaw: float) -> Array:
     x, y, z = np.eye(3)
-    return np.asarray(exp_so3(z * rpy[2]) @ exp_so3(y * rpy[1]) @ exp_so3(x * rpy[0]))
+    R = np.asarray(exp_so3(z * yaw) @ exp_so3(y * pitch) @ exp_so3(x * roll))
+    R.flags.writeable = False  # the same one for all who ask
+    return R
 
 
 def rpy_of(R: Array) -> Array:
