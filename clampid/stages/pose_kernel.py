@@ -11,8 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from clampid.chain.compiled import Blocks, compile_rows
-from clampid.chain.lanes import Lanes
+from clampid.chain.compiled import Deferred
 from clampid.stages.rows import Array
 from kinematics.symbolic import cayley_left_jacobian_sx, cayley_sx, exponential_sx, hat_sx
 
@@ -24,12 +23,12 @@ def link_points(robot: Any) -> Array:
     return np.array([*(joint.point for joint in robot.joints[1:]), robot.flange[:3, 3]])
 
 
-def kernel(robot: Any) -> Blocks | Lanes:
+def kernel(robot: Any) -> Deferred:
     """Position, rotation and sensitivity of rows (q, base reference, target, deviations) of this robot.
 
     Returns
     -------
-    Blocks or Lanes
+    Deferred
         With inputs ``q (N, n)``, base reference ``(N, 12)`` (rotation by rows, position), target ``(N, 3)``, deviations
         ``(N, S)`` at joint angles, base, links, target and measurement; outputs position ``(N, 3)``, rotation by rows
         ``(N, 9)``, sensitivity by rows ``(N, 6 S)``, m and rad, instrument frame.
@@ -39,10 +38,10 @@ def kernel(robot: Any) -> Blocks | Lanes:
 
 
 @lru_cache(maxsize=64)
-def _kernel(n: int, linkage: bytes, screws: bytes, points: bytes, flange: bytes) -> Blocks | Lanes:
+def _kernel(n: int, linkage: bytes, screws: bytes, points: bytes, flange: bytes) -> Deferred:
     shapes = ((n, n), (n, 6), (n, 3), (4, 4))
     arm = [np.frombuffer(b).reshape(shape) for b, shape in zip((linkage, screws, points, flange), shapes, strict=True)]
-    return compile_rows(pose_function(*arm))
+    return Deferred(pose_function(*arm))
 
 
 def pose_function(linkage: Array, screws: Array, points: Array, flange: Array) -> Any:

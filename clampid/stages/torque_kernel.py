@@ -15,8 +15,7 @@ import casadi as ca
 import numpy as np
 
 from clampid.chain.chain import Chain, recorded
-from clampid.chain.compiled import Blocks, compile_rows
-from clampid.chain.lanes import Lanes
+from clampid.chain.compiled import Deferred
 from clampid.stages.loads import declared_weight, flange_to_base, inertial_bodies
 from clampid.stages.rows import Array, Integers
 from experiments.campaign import Campaign
@@ -49,7 +48,7 @@ class TorqueKernel:
     signals: tuple[tuple[str, int], ...]
     touched: tuple[Integers, ...]
     linear: bool
-    function: Blocks | Lanes
+    function: Deferred
 
     def stacked(self, signals: Mapping[str, Array], chosen: Integers) -> Array:
         """Of some rows ``(N,)`` the signals that the function reads, each ``(w, …)``, beside each other ``(N, s)``."""
@@ -110,7 +109,7 @@ def torque_kernel(campaign: Campaign, chain: Chain) -> TorqueKernel:
     output = ca.densify(ca.vertcat(inertia, *rows))
     function = ca.Function("torques", [theta, ca.vertcat(*inputs.values())], [ca.cse(output)])
     widths = tuple((name, symbol.shape[0]) for name, symbol in inputs.items())
-    return TorqueKernel(widths, tuple(touched), linear, compile_rows(function))
+    return TorqueKernel(widths, tuple(touched), linear, Deferred(function))
 
 
 def _computed(campaign: Campaign, row: dict[str, Any]) -> dict[str, Any]:
