@@ -46,6 +46,7 @@ MIN_SHARE_OF_HEIGHT = 0.1  # of a bump, at a visit that counts as near
 ANGLES_PER_TURN = 3600  # at which a shape is tabulated
 # Standard deviations at which visits are clipped in the null: one wrong visit of three must not look like a bump.
 LARGEST_RESIDUAL_IN_NULL = 3.0
+FADED = 1e-9  # of a column's largest number: beside readings that wander, a visit fades from the numbers after it
 SCAN_STEP = 2.0 / 3.0  # distance of the angles tried, in widths at half height: at most a tenth of the height is missed
 
 
@@ -231,7 +232,7 @@ def _refined(estimate: Estimate, space: Space, tried: _Tried) -> Candidate:
         if any(not bounds[name][0] <= value <= bounds[name][1] for name, value in shapes.items()):
             return 0.0
         c = _column(estimate, tried, shapes)
-        some = np.flatnonzero(c)  # the entries of a few visits
+        some = np.flatnonzero(np.abs(c) > FADED * np.abs(c).max(initial=0.0))  # the entries of a few visits
         own = c[some] @ space.basis[some]
         left = float(c @ c - own @ own)
         return -(float(c[some] @ space.residual[some]) ** 2) / left if left > WEAK_BELOW * float(c @ c) > 0.0 else 0.0
