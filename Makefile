@@ -17,8 +17,9 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install -qq
 EXTRAS := test,lint,docs
 LOCKED := $(PIP) --require-hashes -r
 
-# Two workers, and one thread each: BLAS threads that fight cost a small fit a factor of ten.
-WORKERS ?= 2
+# A worker for each core, four at most (each may take 3 GB), and one thread each: BLAS threads that fight cost a small
+# fit a factor of ten.
+WORKERS ?= $(shell n=$$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2); echo $$((n < 4 ? n : 4)))
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 

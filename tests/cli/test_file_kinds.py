@@ -30,10 +30,11 @@ CALLS = {
     "plan fixed-point --robot ur10 --like ARM --floor none --posture 0,-1.5,1.5,0.1,0.1,0.1 -o X.toml -q": "a plan",
 }
 """Calls that write a file, and of which kind it is."""
+LIKE_OTHERS = ("export dh MODEL --convention standard -o X -q", "export dh MODEL --layout thesis -o X -q")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("call", CALLS)
+@pytest.mark.parametrize("call", [pytest.param(c, marks=pytest.mark.study) if c in LIKE_OTHERS else c for c in CALLS])
 def test_an_older_file_of_its_kind_is_replaced_and_no_other(
     call: str, poses_only: Path, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:

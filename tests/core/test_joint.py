@@ -177,7 +177,7 @@ def test_what_was_identified_replaces_what_is_carried_over(campaign: Campaign, j
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [2, 3, 5])
+@pytest.mark.parametrize("seed", [*(pytest.param(s, marks=pytest.mark.study) for s in (2, 3)), 5])
 def test_the_search_gets_where_every_stage_is_explained(simulated: Simulated, seed: int):
     """From the poses' springs alone the constants of sweeps are so far off that no step leads down."""
     campaign = simulated(seed=seed, poses=100, tables=("free_air", "wrist", "clamped", "poses"))

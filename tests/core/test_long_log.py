@@ -42,7 +42,7 @@ def peak_of(folder: Path, times: int) -> tuple[float, float]:
     return float(found["peak"]), times * table.size * NUMBER
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_twice_the_log_takes_no_more_memory(tmp_path: Path) -> None:
     """Both logs are longer than the buffer in which medians are selected (4 million numbers, 80 repeats are 5)."""
     short, columns = peak_of(tmp_path / "short", 80)

@@ -91,11 +91,14 @@ def test_compiled_readers_survive_spoilt_files() -> None:
     fuzzed(150, 7, "urdf")
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("seed", [8, 12], ids=["first half", "second half"])
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(8, marks=pytest.mark.slow), pytest.param(12, marks=pytest.mark.study)],
+    ids=["first half", "second half"],
+)
 def test_each_reader_reads_or_refuses_its_share_of_spoilt_files(seed: int) -> None:
-    """1000 of each reader in two halves, which two workers share; 50 of what goes on to work with a file."""
+    """1000 of each reader in two halves; 50 of what goes on to work with a file."""
     fuzzed("share", seed)
 
 
@@ -107,7 +110,7 @@ def test_each_reader_reads_or_refuses_ten_thousand_spoilt_files() -> None:
 
 @pytest.mark.slow
 def test_verbs_answer_hundreds_of_spoilt_inputs_in_one_line() -> None:
-    fuzzed(30, 10, program="verbs.py")
+    fuzzed(15, 10, program="verbs.py")
 
 
 @pytest.mark.study
@@ -118,7 +121,7 @@ def test_verbs_answer_a_thousand_spoilt_inputs_in_one_line() -> None:
 
 @pytest.mark.slow
 def test_hundreds_of_calls_that_cannot_be_meant_are_refused_in_one_line() -> None:
-    fuzzed(15, 14, program="calls.py")
+    fuzzed(8, 14, program="calls.py")
 
 
 @pytest.mark.study

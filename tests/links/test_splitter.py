@@ -163,7 +163,7 @@ def test_4000_hostile_messages() -> None:
     hostile_messages(4000)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_100000_hostile_messages() -> None:
     hostile_messages(100_000)
 

@@ -13,7 +13,7 @@ from run_adaptive import CASES, adaptive
 @pytest.mark.parametrize(
     ("pair", "rest"),
     [
-        pytest.param("wrist", True, marks=pytest.mark.slow),
+        pytest.param("wrist", True, marks=pytest.mark.study),
         pytest.param("arm", False, marks=pytest.mark.study),
     ],
 )

@@ -56,7 +56,7 @@ def test_of_twenty_robots_all_are_named_whose_block_tilts(
     assert sum(named) >= least
 
 
-@pytest.mark.parametrize("block", [0.0, 1e-7])
+@pytest.mark.parametrize("block", [pytest.param(0.0, marks=pytest.mark.study), 1e-7])
 @pytest.mark.parametrize(
     "stiffer", [pytest.param(1.0, marks=pytest.mark.slow), pytest.param(1.6, marks=pytest.mark.study)]
 )

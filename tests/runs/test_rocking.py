@@ -47,7 +47,7 @@ def test_a_tenth_of_a_millimetre_is_found_with_stiffer_springs(cell: Cell, limit
     assert find_shift(rows, cell.robot, plan.stiffness / 1.6, flange_jacobian(cell.robot, CLAMPED)) is None
 
 
-@pytest.mark.parametrize("block", [0.0, 1e-7])
+@pytest.mark.parametrize("block", [pytest.param(0.0, marks=pytest.mark.study), 1e-7])
 @pytest.mark.parametrize(
     "stiffer", [pytest.param(1.0, marks=pytest.mark.slow), pytest.param(1.6, marks=pytest.mark.study)]
 )
