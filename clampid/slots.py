@@ -24,6 +24,7 @@ __all__ = [
     "fixed_slots",
     "has_value",
     "no_such_effect",
+    "number_of",
     "on_bound",
     "parse_term",
     "slots_of",
@@ -44,6 +45,16 @@ class Slot:
     def label(self) -> str:
         """``effect.parameter@place``."""
         return f"{self.effect}.{self.parameter}@{self.place}"
+
+    @property
+    def number(self) -> int:
+        """Number of its joint, motor or link, from 0; raises ``ValueError`` if its place has none."""
+        return number_of(self.place)
+
+
+def number_of(place: str) -> int:
+    """Number of the joint, motor or link at a place such as ``joint3``, from 0; ``ValueError`` if it has none."""
+    return int(place.lstrip("abcdefghijklmnopqrstuvwxyz")) - 1
 
 
 @dataclass(frozen=True)
@@ -164,8 +175,7 @@ def find_parameter(slot: Slot, catalogue: Mapping[str, Effect]) -> Parameter:
 def unit_of(slot: Slot, catalogue: Mapping[str, Effect], robot: RobotDescription) -> str:
     """The unit of a slot's value on this robot: where a joint slides, angles are lengths and torques forces."""
     unit = find_parameter(slot, catalogue).unit
-    number = slot.place.removeprefix("joint")
-    if number == slot.place or robot.joints[int(number) - 1].kind != "prismatic":
+    if not slot.place.startswith("joint") or robot.joints[slot.number].kind != "prismatic":
         return unit
     return AT_A_SLIDE.get(unit, unit)
 

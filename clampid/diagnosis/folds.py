@@ -22,6 +22,7 @@ from clampid.effect import Effect
 from clampid.evidence.score import Scored
 from clampid.evidence.space import Space
 from clampid.fitting.solve import Estimate
+from clampid.slots import number_of
 from clampid.stages.rows import Array, Bools, Integers, Rows
 
 __all__ = ["PARTS", "Folds", "extrapolated_in", "folds_of", "parts_of_runs", "stability_folds"]
@@ -119,7 +120,7 @@ def extrapolated_in(rows: Rows, effect: Effect, places: Sequence[str], evidence:
     evidence
         ``(N,)``: how much of the effect each row shows.
     """
-    joints = [int(place.removeprefix(effect.per)) - 1 for place in places if place.startswith(effect.per)]
+    joints = [number_of(place) for place in places if place.startswith(effect.per)]
     shows = evidence > 0.0
     if not shows.any():
         return ()

@@ -104,7 +104,7 @@ def _stiffness(estimate: Estimate, described: Array) -> Array:
     out = described.copy()
     for k in estimate.problem.numbers_of("compliance"):
         if estimate.theta[k] > 0.0:
-            out[int(estimate.slots[k].place.removeprefix("joint")) - 1] = 1.0 / estimate.theta[k]
+            out[estimate.slots[k].number] = 1.0 / estimate.theta[k]
     return out
 
 

@@ -30,6 +30,7 @@ from clampid.evidence.score import Flips, Scored, flip_maxima, score
 from clampid.evidence.space import Space, space_of
 from clampid.fitting.further_columns import Derivatives
 from clampid.fitting.solve import Estimate
+from clampid.slots import number_of
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Rows
 from kinematics.description import RobotDescription
@@ -176,7 +177,7 @@ def _without_weight(s: Scored, effects: Mapping[str, Effect], rows: Rows) -> boo
     if not effects[s.candidate.name].holds_weight:
         return False
     bears = np.abs(rows.signals["gravity_torque"]).max(axis=0, initial=0.0)
-    joints = [int(place.removeprefix("joint")) - 1 for place in s.candidate.places]
+    joints = [number_of(place) for place in s.candidate.places]
     return bool(np.all(bears[joints] <= WEIGHTLESS * bears.max(initial=0.0)))
 
 

@@ -18,7 +18,7 @@ from clampid.fitting.further_columns import Derivatives, whitened_columns
 from clampid.fitting.gauge import independent_geometry
 from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate
-from clampid.slots import Slot, Term, slots_of
+from clampid.slots import Slot, Term, number_of, slots_of
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array
 from clampid.stages.temperatures import reads_temperatures
@@ -153,7 +153,7 @@ def _temperatures_vary(estimate: Estimate, effect: Effect) -> bool:
 
 def is_sought(estimate: Estimate, effect: Effect, place: str) -> bool:
     """Whether an effect is searched at a joint or link: the kind of joint fits, and no recorded signal replaces it."""
-    joint = estimate.problem.rows.robot.joints[int(place.removeprefix(effect.per)) - 1]
+    joint = estimate.problem.rows.robot.joints[number_of(place)]
     return effect.search.joint_kind in (None, joint.kind) and not _recorded(estimate, effect, place)
 
 
@@ -165,7 +165,7 @@ def _recorded(estimate: Estimate, effect: Effect, place: str) -> bool:
     signal, effects = effect.search.superseded_by, estimate.problem.effects
     if signal is None or any(signal in effects[slot.effect].needs for slot in estimate.slots):
         return False
-    number = int(place.removeprefix(effect.per)) - 1
+    number = number_of(place)
     return bool(np.ptp(estimate.problem.rows.signals[signal][:, number]) > 0.0)
 
 
@@ -264,7 +264,7 @@ def _with_friction_of_log(estimate: Estimate, share: float) -> Estimate | None:
     play = {problem.slots[k].place for k in problem.numbers_of("clearance")}
     theta = estimate.theta.copy()
     for k in problem.numbers_of("arm_friction"):
-        friction = float(most[int(problem.slots[k].place.removeprefix("joint")) - 1])
+        friction = float(most[problem.slots[k].number])
         if problem.slots[k].place not in play and np.isfinite(friction):
             theta[k] = share * friction
     return None if np.array_equal(theta, estimate.theta) else replace(estimate, theta=theta)

@@ -24,7 +24,7 @@ from clampid.evidence.score import Scored, score
 from clampid.evidence.space import Space, space_of
 from clampid.fitting.further_columns import whitened_columns
 from clampid.fitting.solve import Estimate
-from clampid.slots import Slot, Term
+from clampid.slots import Slot, Term, number_of
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.prewhitening import Predictors
 from clampid.stages.rows import Array, Integers
@@ -102,7 +102,7 @@ def _spectra(estimate: Estimate, space: Space, effect: Effect) -> list[_Spectrum
     active = {(slot.effect, slot.place) for slot in estimate.slots}
     found = []
     for place in problem.rows.layout.allowed(effect, problem.stage):
-        number = int(place.removeprefix("joint")) - 1
+        number = number_of(place)
         own = np.flatnonzero(white.channel == number)
         if (effect.name, place) in active or not len(own) or not is_sought(estimate, effect, place):
             continue
@@ -117,7 +117,7 @@ def _spectrum(
     estimate: Estimate, residual: Array, entry: Integers, place: str, bounds: tuple[float, float]
 ) -> _Spectrum | None:
     """The spectrum of a motor's whitened residual ``(k,)``, whose numbers come from rows ``entry``, between bounds."""
-    rows, noise, motor = estimate.problem.rows, estimate.noise, int(place.removeprefix("joint")) - 1
+    rows, noise, motor = estimate.problem.rows, estimate.noise, number_of(place)
     angle = rows.signals["motor"][entry, motor]
     reach = float(np.ptp(angle))
     step = noise.together * _row_step(rows.log.time, entry)

@@ -173,7 +173,7 @@ def to_joint_points(slots: Sequence[Slot], robot: RobotDescription) -> Array:
         if has_role(slot, "first_moment", per="link"):
             mass = index.get(slot_of("mass", slot.place))
             if mass is not None:
-                point = robot.joints[_number(slot) - 1].point
+                point = robot.joints[slot.number].point
                 out[k, mass] = -float(point["xyz".index(axis_of(slot))])
     return out
 
@@ -194,7 +194,7 @@ def described_parameters(slots: Sequence[Slot], robot: RobotDescription) -> Arra
         bodies.append(dict(zip(names, phi.tolist(), strict=True)))
     for k, slot in enumerate(slots):
         if has_role(slot, *OF_BODY, per="link"):
-            out[k] = bodies[_number(slot) - 1][role_of(slot), axis_of(slot)]
+            out[k] = bodies[slot.number][role_of(slot), axis_of(slot)]
     return out
 
 
@@ -230,10 +230,10 @@ def _column_order(slot: Slot) -> tuple[int, int, int, str]:
     """Sort key of columns: links from the base outwards (first moments, inertias, mass); tool; rotors; all others."""
     role = role_of(slot)
     if has_role(slot, *OF_BODY, per="link"):
-        return 0, _number(slot), ("first_moment", "inertia_tensor", "mass").index(role), slot.parameter
+        return 0, slot.number, ("first_moment", "inertia_tensor", "mass").index(role), slot.parameter
     if role in WEIGHTS:
         return 1, 0, int(role == "mass"), slot.parameter
-    return (2, _number(slot), 0, "") if role == "rotor_inertia" else (3, 0, 0, "")
+    return (2, slot.number, 0, "") if role == "rotor_inertia" else (3, 0, 0, "")
 
 
 def _ordered(terms: Sequence[tuple[Slot, float]], first: Slot) -> tuple[tuple[Slot, float], ...]:
@@ -259,8 +259,3 @@ def _kind(slot: Slot) -> int:
     if has_role(slot, *WEIGHTS):
         return 0 if has_role(slot, *WEIGHTS, per="link") else 2
     return {"inertia_tensor": 1, "rotor_inertia": 3}.get(role_of(slot), 4)
-
-
-def _number(slot: Slot) -> int:
-    """Number of a slot's place, such as 3 of ``joint3``."""
-    return int(slot.place.lstrip("abcdefghijklmnopqrstuvwxyz"))

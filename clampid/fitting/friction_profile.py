@@ -58,7 +58,7 @@ class FrictionProfile:
     @classmethod
     def of(cls, estimate: Estimate, friction: int) -> FrictionProfile:
         """The profile of parameter number ``friction``, about a fit of poses."""
-        joint = int(estimate.slots[friction].place.removeprefix("joint")) - 1
+        joint = estimate.slots[friction].number
         clearances = estimate.problem.numbers_of("clearance")
         gap = next(k for k in clearances if estimate.slots[k].place == f"joint{joint + 1}")
         row, visit = np.unique(estimate.problem.rows.unit, return_index=True, return_inverse=True)[1:]

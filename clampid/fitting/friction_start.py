@@ -70,7 +70,7 @@ def with_friction_start(
 def _past_flips(estimate: Estimate, friction: int) -> Estimate:
     """The estimate, or a better one from another initial value of one joint's friction (slot number ``friction``)."""
     problem, limits = estimate.problem, limits_of(estimate.problem)
-    joint = int(problem.slots[friction].place.removeprefix("joint")) - 1
+    joint = problem.slots[friction].number
     none = estimate.theta.copy()
     none[friction] = 0.0
     pressing = poses.pressing(problem.rows, problem.chain, none)

@@ -78,7 +78,7 @@ def _unloaded(estimate: Estimate, pressing: Array) -> Mapping[int, int]:
     direction = estimate.problem.rows.signals["direction"]
     decided = ((pressing * direction > 0) | (direction == 0)).all(axis=0) & direction.any(axis=0)
     clearances = estimate.problem.numbers_of("clearance")
-    slots = {int(estimate.slots[k].place.removeprefix("joint")) - 1: k for k in clearances}
+    slots = {estimate.slots[k].number: k for k in clearances}
     return {joint: k for joint, k in slots.items() if decided[joint]}
 
 

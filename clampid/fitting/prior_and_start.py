@@ -64,7 +64,7 @@ def start_of(problem: FitProblem, start: Mapping[Slot, float] | None, priors: Se
         if slot in known:
             theta[k] = known[slot]
         elif problem.kind.solved and problem.parameters[k].role == "compliance":
-            theta[k] = problem.rows.sweep.loop_compliance[int(slot.place.removeprefix("joint")) - 1]
+            theta[k] = problem.rows.sweep.loop_compliance[slot.number]
     if problem.kind.solved:
         theta[len(problem.slots) :] = clamping_offsets(problem, theta)
     return theta

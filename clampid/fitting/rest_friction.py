@@ -162,7 +162,7 @@ def _open(problem: FitProblem, priors: Sequence[Prior]) -> list[int]:
         slot = problem.slots[k]
         if slot in known or slot.place not in play:
             continue
-        joint = int(slot.place.removeprefix("joint")) - 1
+        joint = slot.number
         turns = load[load[:, joint] > 0.0, joint]
         if len(turns) and np.ptp(turns) > LEAST_LOAD_RANGE * turns.max():
             out.append(k)

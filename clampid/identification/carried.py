@@ -126,9 +126,9 @@ def log_friction(stages: Mapping[Stage, StageModel], robot: RobotDescription, ef
         () if torque is None else zip(torque.slots, torque.theta, torque.std, torque.identified, strict=True)
     ):
         if has_role(slot, "arm_friction", effects=effects):
-            itself[int(slot.place.removeprefix("joint")) - 1] = True
+            itself[slot.number] = True
         elif known and v > 0.0 and has_role(slot, "dry_friction", effects=effects):
-            motor = int(slot.place.removeprefix("joint")) - 1
+            motor = slot.number
             value[motor], std[motor] = v, s
     turns = np.abs(np.linalg.inv(np.asarray(robot.transmission, dtype=float)))  # (joint, motor)
     unknown = np.any((turns > 0.0) & np.isnan(value), axis=1) | itself

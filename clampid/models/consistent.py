@@ -28,7 +28,6 @@ from clampid.fitting.base_parameters import described_parameters, to_joint_point
 from clampid.models.model import Model, ModelError, StageModel
 from clampid.role_slots import any_of_role, has_role, slot_of
 from clampid.roles import WEIGHTS as WEIGHT_ROLES
-from clampid.slots import Slot
 from clampid.stages.rows import Array
 from clampid.stages.stage_kind import known_of
 from kinematics.dynamics import inertial_parameters
@@ -83,9 +82,9 @@ class ConsistentArm:
         described = described_parameters(stage.slots, robot)
         for k, slot in enumerate(stage.slots):
             if has_role(slot, *WEIGHT_ROLES, "inertia_tensor", per="link"):
-                theta[k] = self.parameters[_number(slot), NAMES.index(slot.parameter)] - described[k]
+                theta[k] = self.parameters[slot.number, NAMES.index(slot.parameter)] - described[k]
             elif has_role(slot, "rotor_inertia") and self.rotors is not None:
-                theta[k] = self.rotors[_number(slot)]
+                theta[k] = self.rotors[slot.number]
         return np.asarray(np.linalg.solve(to_joint_points(stage.slots, robot), theta))
 
 
@@ -225,10 +224,10 @@ def _matrices(
     for row, parameter in enumerate(stage.base):
         for slot, coefficient in parameter.terms:
             if has_role(slot, *WEIGHT_ROLES, "inertia_tensor", per="link"):
-                K[row, 10 * _number(slot) + NAMES.index(slot.parameter)] = coefficient
+                K[row, 10 * slot.number + NAMES.index(slot.parameter)] = coefficient
             elif has_role(slot, "rotor_inertia") and bodies:
-                K[row, 10 * n + _number(slot)] = coefficient
-                rotors[_number(slot)] = True
+                K[row, 10 * n + slot.number] = coefficient
+                rotors[slot.number] = True
             else:
                 constant[row] += coefficient * values[slot]
     return K, constant, rotors
@@ -249,10 +248,6 @@ def _metric(stage: StageModel, robot: RobotDescription) -> Array:
 def _fitted_rotors(stage: StageModel, n: int) -> Array:
     values = stage.values()
     return np.array([values.get(slot_of("rotor_inertia", f"joint{i + 1}"), 0.0) for i in range(n)])
-
-
-def _number(slot: Slot) -> int:
-    return int(slot.place.lstrip("abcdefghijklmnopqrstuvwxyz")) - 1
 
 
 def off_by(base: Sequence[BaseParameter], arm: ConsistentArm) -> Array:

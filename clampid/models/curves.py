@@ -13,7 +13,7 @@ import numpy as np
 from clampid.chain.chain import build_chain
 from clampid.effect import Effect, Parameter
 from clampid.models.model import StageModel
-from clampid.slots import Layout, Slot, find_parameter
+from clampid.slots import Layout, Slot, find_parameter, number_of
 from clampid.stages import poses
 from clampid.stages.rows import Array, Bools
 from clampid.stages.stage_kind import kind_of
@@ -160,7 +160,7 @@ def shared_curve(stage: StageModel, effects: Mapping[str, Effect], angle: Array)
     covariance = stage.covariance[np.ix_(index, index)]
     spread = np.sqrt(np.maximum(np.sum((slope @ covariance) * slope, axis=1), 0.0))
     return SharedCurve(
-        joints=tuple(int(p.removeprefix("joint")) - 1 for p in places),
+        joints=tuple(number_of(p) for p in places),
         sense=np.array([values[Slot(name, "sense", p)] for p in places]),
         phase=np.array([values[s] for s in phases]),
         phase_std=np.array([std[s] for s in phases]),

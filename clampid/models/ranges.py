@@ -267,7 +267,7 @@ def empirical(slots: Sequence[Slot], effects: Mapping[str, Effect]) -> Empirical
     joint that it is named after.
     """
     found = [
-        (k, SIGNALS.index(within), int(slot.place.removeprefix("joint").removeprefix("link")) - 1)
+        (k, SIGNALS.index(within), slot.number)
         for k, slot in enumerate(slots)
         if (within := effects[slot.effect].known_within) and not effects[slot.effect].by_name[slot.parameter].shape
     ]

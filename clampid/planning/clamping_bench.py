@@ -137,7 +137,7 @@ class ClampingBench:
         for k, slot in enumerate(self.slots):
             theta[k] = start[k]
             if self.problem.parameters[k].role == "compliance":
-                theta[k] = 1.0 / self.press.stiffness[int(slot.place.removeprefix("joint")) - 1]
+                theta[k] = 1.0 / self.press.stiffness[slot.number]
             elif self.problem.parameters[k].role == "clearance":
                 theta[k] = self.size[k]
         T = np.asarray(self.cell.robot.transmission)

@@ -57,7 +57,7 @@ def friction_figures(data: StageData) -> list[Figure]:
     at_motor = [name for name, effect in effects.items() if effect.roles & set(FRICTIONS)]
     reach = " Points are the model's friction plus the residual; their means have 95 % intervals."
     arm = {
-        int(slot.place.removeprefix("joint")) - 1: bool(known) and abs(value) > SIGNIFICANT * std
+        slot.number: bool(known) and abs(value) > SIGNIFICANT * std
         for slot, known, value, std in zip(
             data.model.slots, data.model.identified, data.model.theta, data.model.std, strict=True
         )

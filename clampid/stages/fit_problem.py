@@ -198,7 +198,7 @@ class FitProblem:
         """Clearances of the joints ``(n,)``, rad, at the slots' values ``theta`` ``(P,)``."""
         out = np.zeros(self.rows.robot.n)
         for k in self.numbers_of("clearance"):
-            out[int(self.slots[k].place.removeprefix("joint")) - 1] += abs(float(theta[k]))
+            out[self.slots[k].number] += abs(float(theta[k]))
         return out
 
     def bounds(self) -> tuple[Array, Array]:
@@ -229,7 +229,7 @@ def parameter_of(slot: Slot, effects: Mapping[str, Effect], robot: RobotDescript
         parameter = parameter.of_weight(own_moment(robot))
     if not parameter.gearing:
         return parameter
-    joint = int(slot.place.removeprefix("joint")) - 1
+    joint = slot.number
     own = abs(float(np.asarray(robot.transmission)[joint, joint]))
     return parameter.geared(1.0 / own if own > 0 else 1.0)
 
@@ -239,7 +239,7 @@ def parameter_in(rows: Rows, slot: Slot, effects: Mapping[str, Effect]) -> Param
     parameter = parameter_of(slot, effects, rows.robot)
     if parameter.role != "arm_friction" or not rows.kind.points or rows.pose.log_friction is None:
         return parameter
-    return parameter.no_larger(float(rows.pose.log_friction[int(slot.place.removeprefix("joint")) - 1]))
+    return parameter.no_larger(float(rows.pose.log_friction[slot.number]))
 
 
 def fit_problem(
