@@ -241,18 +241,25 @@ def _evaluations(
 ) -> Iterator[tuple[Estimate, list[Slot], list[float]]]:
     """Where the columns of absent slots are evaluated: the fit, slots and their values, SI.
 
-    At the first value of every shape, at the further ones, and, of effects that read flanks, also with the flanks that
-    more friction gives: without a clearance in the model nothing in the rows shows the friction that selects them.
+    At the first value of every shape, and at the further ones. Beside that with other friction at the joints, where
+    little in the rows shows it:
+
+    * of effects that read flanks, with the flanks that more friction gives: without a clearance in the model nothing
+      shows the friction that selects them.
+    * of effects that read torques, without friction: without a spring in the model only flanks show it.
     """
     for level in range(max((len(p.grid) for p in parameters.values() if p.shape), default=1)):
         deep = {s.effect for s in slots if level < len(parameters[s].grid)}
         extra = [s for s in slots if level == 0 or s.effect in deep]
         yield estimate, extra, [parameters[s].grid[level] if parameters[s].shape else 0.0 for s in extra]
-    extra = [s for s in slots if "flank" in effects[s.effect].needs and not parameters[s].shape]
-    for share in FRICTION_SHARES if extra else ():
-        other = _with_friction_of_log(estimate, share)
-        if other is not None:
-            yield other, extra, [0.0] * len(extra)
+    for signal, others in (
+        ("flank", (_with_friction_of_log(estimate, share) for share in FRICTION_SHARES)),
+        ("torque", (_without_friction(estimate),)),
+    ):
+        extra = [s for s in slots if signal in effects[s.effect].needs and not parameters[s].shape]
+        for other in others if extra else ():
+            if other is not None:
+                yield other, extra, [0.0] * len(extra)
 
 
 def _with_friction_of_log(estimate: Estimate, share: float) -> Estimate | None:
@@ -268,6 +275,18 @@ def _with_friction_of_log(estimate: Estimate, share: float) -> Estimate | None:
         if problem.slots[k].place not in play and np.isfinite(friction):
             theta[k] = share * friction
     return None if np.array_equal(theta, estimate.theta) else replace(estimate, theta=theta)
+
+
+def _without_friction(estimate: Estimate) -> Estimate | None:
+    """The fit of poses without friction at the arm's side of joints that have no spring; None if it has none there."""
+    problem = estimate.problem
+    springs = {problem.slots[k].place for k in problem.numbers_of("compliance")}
+    own = [k for k in problem.numbers_of("arm_friction") if problem.slots[k].place not in springs]
+    if not problem.kind.points or not np.any(estimate.theta[own]):
+        return None
+    theta = estimate.theta.copy()
+    theta[own] = 0.0
+    return replace(estimate, theta=theta)
 
 
 def columns_of(estimate: Estimate, candidates: Sequence[Candidate]) -> Array:
