@@ -7,7 +7,7 @@ derivative of the measurement by one parameter.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -69,6 +69,8 @@ class Candidate:
         Units of the amplitudes on this robot.
     describes
         Names of the effects of which this one is a symptom (:attr:`clampid.search_policy.Search.symptom_of`).
+    friction
+        Frictions of the model at which the columns were evaluated, where these are not the fit's, SI.
     """
 
     name: str
@@ -85,6 +87,7 @@ class Candidate:
     reasonable: Array | None = None
     units: tuple[str, ...] = ()
     describes: tuple[str, ...] = ()
+    friction: Mapping[Slot, float] = field(default_factory=dict)
 
     def is_variant_of(self, other: Candidate) -> bool:
         """Whether fits decide between two candidates at the same places: of one family, or a cause and its symptom."""
@@ -215,8 +218,8 @@ def named_candidates(
     every = [s for s in slots if s not in estimate.slots]
     parameters = {s: parameter_of(s, effects, rows.robot) for s in every}
     out: list[Candidate] = []
-    for at, extra, values in _evaluations(estimate, every, parameters, effects):
-        white = known.of(at, extra, values)
+    for friction, extra, values in _evaluations(estimate, every, parameters, effects):
+        white = known.of(_with(estimate, friction), extra, values)
         index = {s: k for k, s in enumerate(extra)}
         changed = {s.effect for s in extra}
         for name in dict.fromkeys(t.effect for t in terms):
@@ -232,14 +235,15 @@ def named_candidates(
             for group in groups:
                 members = list(dict.fromkeys(s for t in group for s in of_term[t] if s in index))
                 if members:
-                    out.append(candidate_of(effect, group, members, parameters, index, values, white))
+                    candidate = candidate_of(effect, group, members, parameters, index, values, white)
+                    out.append(replace(candidate, friction=friction) if friction else candidate)
     return out
 
 
 def _evaluations(
     estimate: Estimate, slots: Sequence[Slot], parameters: Mapping[Slot, Parameter], effects: Mapping[str, Effect]
-) -> Iterator[tuple[Estimate, list[Slot], list[float]]]:
-    """Where the columns of absent slots are evaluated: the fit, slots and their values, SI.
+) -> Iterator[tuple[Mapping[Slot, float], list[Slot], list[float]]]:
+    """Where the columns of absent slots are evaluated: frictions other than the fit's, slots and their values, SI.
 
     At the first value of every shape, and at the further ones. Beside that with other friction at the joints, where
     little in the rows shows it:
@@ -251,53 +255,67 @@ def _evaluations(
     for level in range(max((len(p.grid) for p in parameters.values() if p.shape), default=1)):
         deep = {s.effect for s in slots if level < len(parameters[s].grid)}
         extra = [s for s in slots if level == 0 or s.effect in deep]
-        yield estimate, extra, [parameters[s].grid[level] if parameters[s].shape else 0.0 for s in extra]
+        yield {}, extra, [parameters[s].grid[level] if parameters[s].shape else 0.0 for s in extra]
     for signal, others in (
-        ("flank", (_with_friction_of_log(estimate, share) for share in FRICTION_SHARES)),
-        ("torque", (_without_friction(estimate),)),
+        ("flank", [_friction_of_log(estimate, share) for share in FRICTION_SHARES]),
+        ("torque", [_no_friction(estimate)]),
     ):
         extra = [s for s in slots if signal in effects[s.effect].needs and not parameters[s].shape]
-        for other in others if extra else ():
-            if other is not None:
-                yield other, extra, [0.0] * len(extra)
+        for friction in others if extra else ():
+            if friction:
+                yield friction, extra, [0.0] * len(extra)
 
 
-def _with_friction_of_log(estimate: Estimate, share: float) -> Estimate | None:
-    """The fit with a share of the log's dry friction at the joints without clearance; None if none is known."""
+def _friction_of_log(estimate: Estimate, share: float) -> dict[Slot, float]:
+    """A share of the log's dry friction at the joints without clearance, as far as known and not the fit's."""
     problem = estimate.problem
     most = problem.rows.pose.log_friction if problem.kind.points else None
     if most is None:
-        return None
+        return {}
     play = {problem.slots[k].place for k in problem.numbers_of("clearance")}
-    theta = estimate.theta.copy()
-    for k in problem.numbers_of("arm_friction"):
-        friction = float(most[problem.slots[k].number])
-        if problem.slots[k].place not in play and np.isfinite(friction):
-            theta[k] = share * friction
-    return None if np.array_equal(theta, estimate.theta) else replace(estimate, theta=theta)
+    own = [problem.slots[k] for k in problem.numbers_of("arm_friction") if problem.slots[k].place not in play]
+    return _changed(estimate, {s: share * float(most[s.number]) for s in own if np.isfinite(most[s.number])})
 
 
-def _without_friction(estimate: Estimate) -> Estimate | None:
-    """The fit of poses without friction at the arm's side of joints that have no spring; None if it has none there."""
+def _no_friction(estimate: Estimate) -> dict[Slot, float]:
+    """Zero for the friction at the arm's side of joints that have no spring, where the fit of poses has some."""
     problem = estimate.problem
+    if not problem.kind.points:
+        return {}
     springs = {problem.slots[k].place for k in problem.numbers_of("compliance")}
-    own = [k for k in problem.numbers_of("arm_friction") if problem.slots[k].place not in springs]
-    if not problem.kind.points or not np.any(estimate.theta[own]):
-        return None
+    own = [problem.slots[k] for k in problem.numbers_of("arm_friction") if problem.slots[k].place not in springs]
+    return _changed(estimate, dict.fromkeys(own, 0.0))
+
+
+def _changed(estimate: Estimate, wanted: dict[Slot, float]) -> dict[Slot, float]:
+    """Wanted values of parameters if any of them is not the fit's."""
+    values = estimate.values()
+    return wanted if any(values[slot] != value for slot, value in wanted.items()) else {}
+
+
+def _with(estimate: Estimate, changed: Mapping[Slot, float]) -> Estimate:
+    """The fit with other values of some of its parameters; of other parameters' values nothing is taken."""
     theta = estimate.theta.copy()
-    theta[own] = 0.0
-    return replace(estimate, theta=theta)
+    for k, slot in enumerate(estimate.slots):
+        theta[k] = changed.get(slot, theta[k])
+    return replace(estimate, theta=theta) if changed else estimate
 
 
 def columns_of(estimate: Estimate, candidates: Sequence[Candidate]) -> Array:
     """Whitened columns ``(M, k)`` of candidates in the rows of an estimate; slots active there are left out."""
-    active = set(estimate.slots)
-    shapes = {slot: value for c in candidates for slot, value in c.shapes.items() if slot not in active}
-    amplitudes = list(dict.fromkeys(slot for c in candidates for slot in c.slots if slot not in active))
-    if not amplitudes:
-        return np.zeros((len(estimate.whitened.residual), 0))
-    white = whitened_columns(estimate, [*amplitudes, *shapes], [0.0] * len(amplitudes) + list(shapes.values()))
-    return np.asarray(white.jacobian[:, : len(amplitudes)], dtype=float)
+    seen, found = set(estimate.slots), [np.zeros((len(estimate.whitened.residual), 0))]
+    rest = list(candidates)
+    while rest:
+        friction = rest[0].friction
+        alike, rest = [c for c in rest if c.friction == friction], [c for c in rest if c.friction != friction]
+        shapes = {slot: value for c in alike for slot, value in c.shapes.items() if slot not in seen}
+        amplitudes = list(dict.fromkeys(slot for c in alike for slot in c.slots if slot not in seen))
+        if amplitudes:
+            values = [0.0] * len(amplitudes) + list(shapes.values())
+            white = whitened_columns(_with(estimate, friction), [*amplitudes, *shapes], values)
+            found.append(white.jacobian[:, : len(amplitudes)])
+            seen.update(amplitudes)
+    return np.hstack(found)
 
 
 def candidate_of(

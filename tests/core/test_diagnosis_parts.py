@@ -101,6 +101,31 @@ def test_what_is_granted_to_the_model_is_no_evidence(simulated: Callable[..., Ca
     assert space.granting(own[:, :0]) is space
 
 
+def test_springs_and_clearances_are_scored_with_other_friction_too(simulated: Callable[..., Campaign]):
+    """Without a spring only flanks show friction, without a clearance nothing does; columns are those of its values."""
+    campaign = simulated(seed=7, poses=60, tables=("free_air", "wrist", "poses"))
+    stages = {"free_air": ("gravity", "coulomb_friction", "viscous_friction"), "poses": ("geometry", "gravity")}
+    opened = on_campaign(
+        identify(campaign, {**stages, "poses": (*stages["poses"], "wrist_coupling_friction")}), campaign
+    )
+    fitted = opened.refit("poses").estimate
+    friction = [k for k, slot in enumerate(fitted.slots) if slot.effect == "wrist_coupling_friction"]
+    theta = fitted.theta.copy()
+    theta[friction] = 30.0
+    estimate = replace(fitted, theta=theta)
+    found = [c for c in named_candidates(estimate, catalogue(), set()) if c.name in ("joint_compliance", "backlash")]
+    for name, values in (("joint_compliance", {0.0}), ("backlash", None)):
+        with_own, with_other = ([c for c in found if c.name == name and bool(c.friction) == b] for b in (False, True))
+        assert with_own
+        assert with_other
+        assert values is None or {value for c in with_other for value in c.friction.values()} == values
+    for c in found:
+        own = columns_of(estimate, [c])
+        np.testing.assert_allclose(own, c.columns.dense(len(own)), rtol=1e-9, atol=1e-9 * np.abs(own).max(initial=1.0))
+    springs = {bool(c.friction): c.columns for c in found if c.label == "joint_compliance@joint2"}
+    assert np.any(np.abs(springs[True].dense(len(own)) - springs[False].dense(len(own))) > 1.0)
+
+
 def test_an_effect_with_many_more_parameters_is_no_rival(simulated: Callable[..., Campaign]):
     campaign = simulated(seed=7, poses=60, tables=("poses",))
     estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
