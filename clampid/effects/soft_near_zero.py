@@ -29,7 +29,15 @@ EFFECT = Effect(
             gearing=2,
         ),
         Parameter(
-            "s", "Nm", 1.0, "joint", (0.02, 50.0), "torque at the motor beyond which it vanishes", True, (1.0, 0.3, 3.0)
+            "s",
+            "Nm",
+            100.0,
+            "joint",
+            (2.0, 5e3),
+            "torque at the motor beyond which it vanishes; size at the joint",
+            shape=True,
+            grid=(100.0, 30.0, 300.0, 10.0),
+            gearing=-1,
         ),
     ),
     needs=("torque",),

@@ -25,6 +25,7 @@ OF_ITS_SIZE = 0.8  # of the noise
         ("stribeck_friction/free_air", 3803),  # the same, and without inertia in the model no fast row counts
         ("bearing_tilt/poses", 3706),  # the next joint's bearing fits better, with a spring of negative stiffness
         ("damaged_tooth/poses", 3700),  # beside readings that wander: a number shows the rows before it as well
+        ("hardening_spring/poses", 3867),  # saturating at a torque of joints that have no gear in their description
         ("backlash/poses", 3861),  # beside readings that wander, and with the friction that selects its flanks
         ("joint_compliance/poses", 3845),  # beside a friction of a third of its load, which only flanks have shown
         ("depth_scale/poses", 3718),  # of all axes in part, so that it takes two names to explain what a probe does
