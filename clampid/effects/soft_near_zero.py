@@ -33,10 +33,10 @@ EFFECT = Effect(
             "Nm",
             100.0,
             "joint",
-            (2.0, 5e3),
+            (10.0, 5e3),  # what is gone at a smaller torque is a clearance
             "torque at the motor beyond which it vanishes; size at the joint",
             shape=True,
-            grid=(100.0, 30.0, 300.0, 10.0),
+            grid=(100.0, 30.0, 300.0),
             gearing=-1,
         ),
     ),

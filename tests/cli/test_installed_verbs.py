@@ -70,6 +70,7 @@ def test_a_broken_verb_says_so_where_it_is_called(verb: str, says: str, third: P
     assert not ran.stdout
 
 
+@pytest.mark.slow
 def test_all_other_verbs_work_beside_it(third: Path) -> None:
     assert call(third, "fine", "--n", "2").stdout == "fine 2\n"
     assert call(third, "effects", "backlash").returncode == 0

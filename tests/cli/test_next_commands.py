@@ -122,6 +122,7 @@ def one_pose(tmp_path: Path) -> Path:
     return write_campaign(tmp_path / "still", header, {"poses": table})
 
 
+@pytest.mark.slow
 def test_poses_that_are_too_few_for_a_fit_offer_no_fit(
     clampid: Clampid, one_pose: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -28,6 +28,7 @@ def rows(simulated) -> Rows:
     return stage_rows([campaign], layout_of([campaign]), "poses")
 
 
+@pytest.mark.slow
 def test_rows_anywhere_agree_as_seldom_as_stated(rows: Rows):
     """Of 400 tables with 2 % wrong rows, 1 % are expected; 11 and more would come in one of 1000."""
     rng, found = np.random.default_rng(0), 0

@@ -163,6 +163,7 @@ def test_limits_are_those_of_what_is_not_in_the_model_in_the_end(arm: Campaign, 
     assert smallest[1] < 0.2 * smallest[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stage", "hidden", "start"),
     [("free_air", "load_dependent_friction@joint2:3", None), ("poses", "thermal_expansion:3", START)],

@@ -62,6 +62,7 @@ def test_torques_follow_gravity_as_the_inclined_base_sees_it(
     assert np.allclose(inclined - level, inclination_torque(campaign, q) @ w, atol=1e-6 * np.abs(level).max())
 
 
+@pytest.mark.slow
 def test_a_log_identifies_the_error_of_the_stated_gravity(tmp_path: Path) -> None:
     """The same log, its gravity stated 15 mrad off: roll and pitch are other by that; left out, it is found.
 

@@ -38,7 +38,7 @@ def test_cross_terms_are_right_in_sign_and_size():
         assert np.all(np.abs(t.off[18:]) < 4)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_naive_reading_of_the_transmission_fails_the_same_test():
     found = [clamped_coverage.trial(seed, naive=True) for seed in range(2)]
     assert clamped_coverage.covered(found)[18:].max() == 0.0

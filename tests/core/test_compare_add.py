@@ -194,6 +194,7 @@ def test_add_in_torques(torques: Campaign, torque_model: Model):
     assert stage["heldout_rms_after"] < stage["heldout_rms_before"]
 
 
+@pytest.mark.slow
 def test_errors_before_and_after_are_in_the_same_unit(torques: Campaign):
     """A friction that is missing looks like noise in part: by its own noise, each model's error is another's number."""
     first = identify(torques, {"free_air": ("gravity", "coulomb_friction")})

@@ -283,6 +283,7 @@ def test_held_out_distances_show_how_good_the_model_is():
     assert moved["distances"]["heldout"]["rms"] > 1e-4  # another individual
 
 
+@pytest.mark.slow
 def test_a_hidden_effect_is_found_from_distances(simulated: Simulated):
     campaign = simulated(seed=2, poses=120, tables=("distances",), hidden=("gear_eccentricity@joint1",))
     effects = ["geometry", "joint_compliance", "backlash", "wrist_coupling_friction"]

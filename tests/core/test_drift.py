@@ -36,7 +36,8 @@ def clean(simulated, seed: int) -> Campaign:
     return simulated(seed=seed, poses=150, tables=("poses",), robot="ur10")
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.study) for s in (2, 3))])
 def test_wandering_noise_is_warned_of(simulated, seed: int):
     campaign = drifting(clean(simulated, seed), 0.9, seed)
     verdict = diagnose(identify([campaign]), campaign).stages["poses"]

@@ -26,6 +26,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_campaign(tmp_path_factory.mktemp("log") / "arm", measured.header, measured.tables)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effects", [None, ("gravity", "coulomb_friction", "viscous_friction@joint2", "inertia")])
 def test_the_model_is_that_of_the_campaign_read_whole(folder: Path, effects: tuple[str, ...] | None) -> None:
     whole, pieces = (f(c, effects, holdout=0.2, seed=3) for f, c in
@@ -40,6 +41,7 @@ def test_the_model_is_that_of_the_campaign_read_whole(folder: Path, effects: tup
     assert whole.ledger[0].heldout_rms == pytest.approx(pieces.ledger[0].heldout_rms, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_share_of_steady_motion_and_fingerprint_are_those_of_the_tables(folder: Path) -> None:
     campaign = read_campaign(folder)
     parts = [LogPart(campaign, 0, name, LogTable.of(folder / f"{name}.parquet")) for name in ("free_air", "wrist")]

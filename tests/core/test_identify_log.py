@@ -100,6 +100,7 @@ def test_two_tables_with_standing_joints(both: Campaign, holdout: float, window:
     assert_same(by_windows([both], STANDARD, held_out, window, kept), fitted, errors)
 
 
+@pytest.mark.slow
 def test_accelerated_rows_temperatures_and_loads(free_air: Campaign) -> None:
     names = (*STANDARD, "inertia", "temperature_dependent_friction", "payload")
     fitted, errors, _ = held_whole([free_air], names, 0.0)
@@ -121,6 +122,7 @@ def test_log_denser_than_its_design_can_follow(free_air: Campaign, window: int, 
     assert_same(by_windows([dense], names, held_out, window, kept), fitted, errors)
 
 
+@pytest.mark.slow
 def test_outliers_are_the_same(free_air: Campaign) -> None:
     table = free_air.tables["free_air"].copy()
     wrong = np.random.default_rng(3).choice(len(table), 80, replace=False)
@@ -131,12 +133,14 @@ def test_outliers_are_the_same(free_air: Campaign) -> None:
     assert_same(by_windows([spoilt], STANDARD, window=3000), fitted, errors)
 
 
+@pytest.mark.slow
 def test_two_sessions_of_one_robot(free_air: Campaign, both: Campaign) -> None:
     other = replace(both, tool=Tool(3.0, np.array([0.0, 0.02, 0.1])))
     fitted, errors, _ = held_whole([free_air, other], STANDARD, 0.0)
     assert_same(by_windows([free_air, other], STANDARD), fitted, errors)
 
 
+@pytest.mark.slow
 def test_one_run_without_speeds(free_air: Campaign) -> None:
     table = free_air.tables["free_air"]
     table = table[table["run"] == 1].reset_index(drop=True)
@@ -190,6 +194,7 @@ def test_shape_parameters_are_those_of_the_log_held(both: Campaign, holdout: flo
     assert_same(found, fitted, errors)
 
 
+@pytest.mark.slow
 def test_shape_parameters_on_their_bounds(free_air: Campaign, monkeypatch: pytest.MonkeyPatch) -> None:
     """A speed that ends at its bound rests there in cross-validation too."""
     effects = dict(catalogue())

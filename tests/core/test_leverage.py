@@ -58,6 +58,7 @@ def ramps(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
     return read_campaign(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("of_another_shape")
 def test_a_wrong_row_of_large_leverage_is_rejected(ramps: Campaign, tmp_path: Path) -> None:
     """It was kept: its residual was one standard deviation, and without it the fit mispredicts it by a hundred."""

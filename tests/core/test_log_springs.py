@@ -73,6 +73,7 @@ def test_torques_by_springs_are_those_of_the_arm_where_it_stands(name: str):
         np.testing.assert_allclose(found[:, :, drive], (torque(c) - torque(-c)) / 2e-7, rtol=1e-6, atol=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [HEAVY, COUPLED])
 def test_a_log_of_an_arm_that_does_not_yield_has_other_masses(name: str):
     """What the weight's torques lose where the arm has yielded is put back: masses move by -B c, c the true springs."""

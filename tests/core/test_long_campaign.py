@@ -45,6 +45,7 @@ def test_the_model_is_that_of_the_log_held(whole: Campaign, pieces: Campaign, ef
     assert in_memory.sessions == read.sessions
 
 
+@pytest.mark.slow
 def test_rows_that_have_to_be_held_are_those_of_the_file_and_not_of_the_extract(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -29,6 +29,7 @@ def test_a_nominal_robot_is_worse_than_its_model(fitted: tuple[Campaign, Model])
         assert error > 3.0 * last[stage].rms
 
 
+@pytest.mark.slow
 def test_rejected_rows_and_the_base_do_not_count(fitted: tuple[Campaign, Model]) -> None:
     campaign, model = fitted
     before = nominal_errors(model, campaign)["poses"]

@@ -78,6 +78,7 @@ def test_the_clearance_of_a_leaning_joint_is_found(monkeypatch: pytest.MonkeyPat
     assert abs(gap_of(mean) - GAP) < 0.1 * GAP
 
 
+@pytest.mark.slow
 def test_an_upright_joint_keeps_its_flanks(monkeypatch: pytest.MonkeyPatch) -> None:
     campaign = leaning(3, 0.0)
     without, mean = (stage_of(campaign, monkeypatch, open_flanks=o) for o in (False, True))

@@ -67,6 +67,7 @@ def test_without_a_ripple_no_order_is_significant(plain: Campaign) -> None:
     assert all(s.log_p > np.log(0.005 / 6) and s.bic < 0.0 for s in found)
 
 
+@pytest.mark.slow
 def test_a_ripple_of_unknown_order_is_named_with_its_order(rippled: Campaign) -> None:
     found = diagnose(identify(rippled), rippled).stages["free_air"]
     assert (found.verdict, [(c["name"], c["where"]) for c in found.candidates]) == (
@@ -80,6 +81,7 @@ def test_a_ripple_of_unknown_order_is_named_with_its_order(rippled: Campaign) ->
     assert found.after < found.before
 
 
+@pytest.mark.slow
 def test_add_and_identify_search_the_order_themselves(rippled: Campaign) -> None:
     model = identify(rippled)
     mended, _ = add(model, rippled, [f"gear_ripple@joint{JOINT}"])

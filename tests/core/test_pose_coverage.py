@@ -20,6 +20,7 @@ def trial(name: str, seed: int) -> pose_coverage.Trial:
     return pose_coverage.trial(name, seed)
 
 
+@pytest.mark.slow
 def test_the_truth_of_a_linkage_can_be_expressed():
     found = trial("abb_irb2400_12_155", 0)
     # Springs on the wrong side of the linkage left 600 µm; loads at the posture before it yields leave a few.

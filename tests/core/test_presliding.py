@@ -83,6 +83,7 @@ def test_friction_state_of_a_run_ignores_other_runs():
     np.testing.assert_array_equal(z[3:], 0.0)
 
 
+@pytest.mark.slow
 def test_friction_that_creeps_at_rest_is_learned(simulated: Callable[..., Campaign]):
     """The hidden law is another one, of several contacts that slip; judged by a run that no fit has seen."""
     campaign = simulated(seed=11, tables=("free_air",), hidden=("presliding_friction@joint2",))
@@ -103,6 +104,7 @@ def test_friction_that_creeps_at_rest_is_learned(simulated: Callable[..., Campai
     assert 0.4 < values["t"] < 4.0  # contacts that creep at 0.8 to 1.6 /s, the wider ones slower
 
 
+@pytest.mark.slow
 def test_added_effect_lets_rows_at_rest_count(simulated: Callable[..., Campaign]):
     campaign = simulated(seed=11, tables=("free_air",), hidden=("presliding_friction@joint2",))
     model = identify(campaign)

@@ -75,6 +75,7 @@ def test_an_effect_may_need_any_sensor_and_says_where_there_is_none(simulated: S
         chain.evaluate(np.array([1e-3]), alone.signals)
 
 
+@pytest.mark.slow
 def test_an_error_that_follows_a_sensor_of_no_link_is_said_to(simulated: Simulated):
     """A bench that a sensor was put on: nothing of the catalogue acts there, and the variable is named."""
     campaign = simulated(seed=6, poses=60, tables=("poses",))
@@ -91,7 +92,7 @@ def test_an_error_that_follows_a_sensor_of_no_link_is_said_to(simulated: Simulat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.study)])
 def test_a_torque_that_follows_the_ambient_temperature_is_named(seed: int, simulated: Simulated):
     campaign, motor = simulated(seed=seed, tables=("free_air", "wrist")), seed + 1
     still = campaign.tables["free_air"][f"tau{motor}_Nm"].iloc[3:15]

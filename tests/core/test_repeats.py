@@ -101,6 +101,7 @@ def test_rounding_that_repeats_is_noise_too() -> None:
     assert np.all(found >= (1.0 - 1e-9) * 0.5 / np.sqrt(12.0))
 
 
+@pytest.mark.slow
 def test_what_a_model_lacks_of_a_repeated_motion_is_not_in_the_floor(simulated: Callable[..., Campaign]) -> None:
     """A torque that changes within degrees of joint 2, in a log that was driven twice."""
     campaign = simulated(seed=7, tables=("free_air",))

@@ -76,6 +76,7 @@ def used_rows(campaign: Campaign, true: np.ndarray) -> np.ndarray:
     return np.asarray(rows.used)
 
 
+@pytest.mark.slow
 def test_rows_that_speed_up_count_where_moves_are_trapezoids(seldom: tuple[Campaign, np.ndarray, np.ndarray]) -> None:
     campaign, true, qdd = seldom
     # A campaign of its own: what is known of a log is kept with it.
@@ -121,6 +122,7 @@ def test_all_rows_count_where_none_is_predicted_better_without_others(simulated:
     assert facts(simulated(seed=3, tables=("free_air", "wrist"))).motions.way.trusted == ()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not (REAL := Path(__file__).parents[3] / "shared" / "real").exists(), reason="needs ../shared, which is not here"
 )

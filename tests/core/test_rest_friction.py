@@ -36,6 +36,7 @@ def robot_and_model() -> tuple[Campaign, Model]:
     return campaign, identify(campaign)
 
 
+@pytest.mark.slow
 def test_frictions_and_clearances_of_an_uncoupled_wrist():
     """Of this robot a search that moved its flanks ended with clearances ten standard errors off, friction at 42 Nm."""
     errors = pose_coverage.trial(UNCOUPLED, 2).errors
@@ -78,6 +79,7 @@ def test_friction_profile_equals_fits_with_the_friction_fixed():
     assert profile.cost[at] - profile.cost[best] == pytest.approx(lost, rel=0.1, abs=3.0)
 
 
+@pytest.mark.slow
 def test_prior_width_of_a_fixed_friction_is_not_counted_as_evidence(simulated):
     """Its column is the fit's own to the score test, although the search held it."""
     campaign = simulated(seed=2, poses=150, tables=("free_air", "wrist", "poses"))

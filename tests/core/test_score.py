@@ -78,6 +78,7 @@ def test_score_is_the_fall_of_the_squares_when_refitted():
     assert found.freedom == 3
 
 
+@pytest.mark.slow
 def test_flips_hold_the_familywise_error():
     """Rows that share their unit's noise, and a dictionary of 40: 5 % of null data may alarm."""
     rng, alarms, runs = np.random.default_rng(2), 0, 200

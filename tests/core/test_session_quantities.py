@@ -74,6 +74,7 @@ def test_one_for_both_leaves_what_differs(sessions: tuple[Campaign, Campaign], m
     assert session_differences(common.stages["poses"], catalogue()) == ()
 
 
+@pytest.mark.slow
 def test_the_file_keeps_them_and_one_session_has_its_own(
     sessions: tuple[Campaign, Campaign], model: Model, tmp_path: Path
 ):

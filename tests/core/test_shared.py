@@ -18,7 +18,7 @@ from experiments.campaign import Campaign, read_campaign
 SHARED = Path(__file__).resolve().parents[2].parent / "shared"
 pytestmark = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no real and blind campaigns at {SHARED}")
 CASES = [f"case_{k:02d}" for k in range(1, 9)]
-MARKS = dict.fromkeys(("case_05", "case_06"), pytest.mark.slow)
+MARKS = dict.fromkeys(("case_06",), pytest.mark.slow)
 VERDICTS = {"adequate", "missing", "ambiguous", "unknown"}
 
 

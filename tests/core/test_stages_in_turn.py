@@ -132,6 +132,7 @@ def test_a_drift_is_named_only_if_it_is_seen(simulated: Callable[..., Campaign])
     assert simplest_of(scores.named, drifting).candidate.name == "torque_offset"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reading", [None, 24.0], ids=["not recorded", "constant"])
 def test_a_drift_with_a_temperature_that_never_varies_is_not_looked_for(
     simulated: Callable[..., Campaign], reading: float | None

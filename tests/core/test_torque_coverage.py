@@ -27,7 +27,10 @@ def errors(seeds: range) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seeds", "least"), [(FOUR, 0.89), pytest.param(FEW, 0.905, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("seeds", "least"),
+    [pytest.param(FOUR, 0.89, marks=pytest.mark.slow), pytest.param(FEW, 0.905, marks=pytest.mark.study)],
+)
 def test_intervals_hold_the_truth(seeds: range, least: float):
     """95 % should be inside. Fewer than ``least`` would be, were the numbers independent, one case in 100.
 
@@ -40,7 +43,9 @@ def test_intervals_hold_the_truth(seeds: range, least: float):
     assert 0.8 < np.sqrt(np.mean(z**2)) < 1.2
 
 
-@pytest.mark.parametrize("seeds", [FOUR, pytest.param(FEW, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "seeds", [pytest.param(FOUR, marks=pytest.mark.slow), pytest.param(FEW, marks=pytest.mark.study)]
+)
 def test_torques_of_another_program_are_predicted_to_within_their_noise(seeds: range):
     assert np.max([t.unseen for t in trials(seeds)]) < 1.1
 

@@ -36,6 +36,7 @@ def gain_of(stage: StageModel, place: str) -> tuple[float, float]:
     return stage.values()[slot], float(stage.std[stage.slots.index(slot)])
 
 
+@pytest.mark.slow
 def test_a_gain_has_its_size_beside_masses_that_differ(reported: tuple[Campaign, float]):
     campaign, true = reported
     names = [t.label for t in standard_effects([campaign])["free_air"]]

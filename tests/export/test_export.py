@@ -190,6 +190,7 @@ def test_at_a_temperature_links_have_grown_along_their_length(make_model: Make) 
             calibrated_chain(model, temperature=kelvin)
 
 
+@pytest.mark.slow
 def test_links_of_another_temperature_than_their_expansion_was_identified_on_are_named(
     make_model: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -210,6 +211,7 @@ def test_links_of_another_temperature_than_their_expansion_was_identified_on_are
         assert "extrapolating" not in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_lever_in_millimetres_is_the_same_lever(make_model: Make, tmp_path: Path) -> None:
     model = tmp_path / "model.json"
     save_model(make_model("kuka_kr20_r1810"), model)

@@ -157,6 +157,7 @@ def test_the_best_table_has_standard_errors_of_the_whole_model(make_model):
         assert np.all((ratio[used] > 0.6) & (ratio[used] < 1.5))
 
 
+@pytest.mark.slow
 def test_an_uncertain_spring_makes_the_best_table_uncertain(series_d):
     """By as much as the table moves with it, in each row; the model's own geometry does not.
 

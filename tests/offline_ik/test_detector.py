@@ -253,6 +253,7 @@ def test_an_arm_on_a_rail_and_one_of_four_joints_are_refused(detector: Detector)
         Detector(replace(detector.arm, robot=short), detector.cell)
 
 
+@pytest.mark.slow
 def test_an_arm_without_a_spherical_wrist_is_served_as_well() -> None:
     model = drawn_model("ur10", ("geometry", "joint_compliance"))
     cell = default_cell(load_robot("ur10"))

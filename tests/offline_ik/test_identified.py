@@ -89,6 +89,7 @@ def check(solver: Solver, q: np.ndarray, seed: int = 0) -> None:
     assert np.abs(solver.pose(found.q, given_) - T).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_every_reachable_pose_is_reached(solver: Solver) -> None:
     check(solver, postures(solver.arm, 10_000))
 
@@ -124,6 +125,7 @@ def shared() -> Solver:
     return _shared[0]
 
 
+@pytest.mark.slow
 def test_a_singular_posture_far_along_its_valley_is_found() -> None:
     """The wrist's centre on axis 1, where joint 1 is as good as free: a search ends at a fold half a turn away."""
     solver = Solver(drawn_arm(seed=4), MOUNT)
@@ -131,6 +133,7 @@ def test_a_singular_posture_far_along_its_valley_is_found() -> None:
     check(solver, q)
 
 
+@pytest.mark.slow
 def test_an_arm_without_a_spherical_wrist_is_solved_from_a_posture_nearby() -> None:
     arm = drawn_arm("ur10", ("geometry", "joint_compliance"))
     solver = Solver(arm, MOUNT)
@@ -154,7 +157,12 @@ def test_directions_and_temperatures_count() -> None:
 
 
 @pytest.mark.parametrize(
-    "count", [pytest.param(100_000, marks=pytest.mark.slow), pytest.param(1_000_000, marks=pytest.mark.study)]
+    "count",
+    [
+        pytest.param(10_000, marks=pytest.mark.slow),
+        pytest.param(100_000, marks=pytest.mark.study),
+        pytest.param(1_000_000, marks=pytest.mark.study),
+    ],
 )
 def test_poses_without_number(count: int) -> None:
     solver = Solver(drawn_arm(seed=4), MOUNT)

@@ -113,6 +113,7 @@ def test_any_triangles_are_a_body_or_refused(data: st.DataObject, tmp_path: Path
         assert np.isfinite(distance_of(body, coal.Transform3s.Identity(), *capsule))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("content", ["plate", "nan"])
 def test_ik_survives_it(content: str, model_file: Path, cell_file: Path, tmp_path: Path) -> None:
     corners = PLATE + np.array([0.0, 0.0, 5.0])

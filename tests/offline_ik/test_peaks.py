@@ -71,6 +71,7 @@ def test_a_hidden_arm_of_the_models_covariance_is_covered(detector: Detector) ->
     assert np.mean(chi) == pytest.approx(3.0, abs=0.82)
 
 
+@pytest.mark.slow
 def test_points_follow_the_parameters_far_from_the_detectors_middle_too(detector: Detector) -> None:
     """Their covariance is that of clampid's own prediction, differentiated numerically: turns included."""
     arm, (q, direction) = detector.arm, stood(detector)

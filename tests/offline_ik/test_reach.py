@@ -111,6 +111,7 @@ def test_in_the_instruments_frame_and_in_either_order(detector: Detector, order:
     check(there, (0.3, 0.2, 5.0), 0.4, starts=6)
 
 
+@pytest.mark.slow
 def test_an_arm_without_a_closed_form(tmp_path: Path, cell_file: Path) -> None:
     text = cell_file.read_text(encoding="utf-8").replace("kuka_kr20_r1810", "ur10")
     text = text.replace("[1.4, 0.0, 0.0]", "[0.9, 0.0, 0.3]").replace("[1.4, 0.0, -0.35]", "[0.9, 0.0, -0.6]")

@@ -41,6 +41,7 @@ def warming(warming_file: Path, cell_file: Path) -> Detector:
     return open_detector(warming_file, cell_file)
 
 
+@pytest.mark.slow
 def test_the_answer_is_of_the_time_that_was_said(warming: Detector) -> None:
     """Every link of the drawn arm grows with a time constant of an hour."""
     q = warming.locate(*HERE).solutions[0].q
@@ -129,6 +130,7 @@ def test_the_servers_clock_goes_on(warming: Detector) -> None:
     assert json.loads(started.answer(b"state", Session(greeted=True)))["running_s"] == 90.0
 
 
+@pytest.mark.slow
 def test_the_servers_second_detector_is_at_the_same_time(warming: Detector) -> None:
     now = [1000.0]
 

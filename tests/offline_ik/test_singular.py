@@ -119,6 +119,7 @@ def test_a_wrist_is_turned_to_any_orientation() -> None:
         assert (search.solver.signs(found)[:, 2] == side).all()
 
 
+@pytest.mark.slow
 def test_a_detector_with_a_straight_wrist_is_left_at_the_posture_at_hand(detector: Detector) -> None:
     """By the one kernel: it takes what its branches have, and others of the same pose are nearer."""
     q = np.array([0.2, -1.3, 1.4, 0.6, 0.0, -0.5])

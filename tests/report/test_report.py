@@ -292,6 +292,7 @@ def test_poses_alone(measured, tmp_path):
     assert "not on this campaign, all rows of which are held out" in text
 
 
+@pytest.mark.slow
 def test_the_same_twice(measured, tmp_path):
     campaign, first, model, _ = measured
     for name in ("a.html", "b.html"):

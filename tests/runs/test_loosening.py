@@ -42,7 +42,7 @@ def test_rocking_that_begins_in_sweep_3_is_named_before_sweep_5(
 
 @pytest.mark.parametrize(
     ("stiffer", "least"),
-    [pytest.param(1.0, 17, marks=pytest.mark.slow), pytest.param(1.6, 19, marks=pytest.mark.study)],
+    [pytest.param(1.0, 17, marks=pytest.mark.study), pytest.param(1.6, 19, marks=pytest.mark.study)],
 )
 def test_of_twenty_robots_all_are_named_whose_block_tilts(
     cell: Cell, limits: Limits, stiffer: float, least: int

@@ -87,6 +87,7 @@ def test_distances_become_a_table_of_their_own(controller: Controller, poses: Pl
         run(replace(poses, visits=poses.visits[-1:]), tmp_path / "D", again)
 
 
+@pytest.mark.slow
 def test_a_silent_instrument_stops_the_run_and_resume_goes_on(
     controller: Controller, poses: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,7 +9,7 @@ import pytest
 import run_session
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_hidden_effect_is_found_and_the_error_falls(
     program: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

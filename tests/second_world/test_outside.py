@@ -36,6 +36,7 @@ def test_what_the_instrument_does_depends_on_time_or_on_a_square(
     assert depends_on <= set(poses.depends_on)
 
 
+@pytest.mark.slow
 def test_friction_by_another_joints_load_is_found_at_its_motor(tmp_path: Path) -> None:
     """As of a bearing that two joints share: by one motor's speed times another's load."""
     arm = draw_robot("seven7", 11, mounting="wall")

@@ -210,7 +210,7 @@ OTHERS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.study) for s in (2, 3))])
 @pytest.mark.parametrize("hidden", OTHERS)
 def test_a_shape_over_two_variables_brings_the_error_to_the_noise(hidden: str, seed: int, simulated, tmp_path: Path):
     """An engineer who suspects on what it depends: what the effect file brings, on poses that no fit saw."""

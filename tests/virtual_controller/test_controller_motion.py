@@ -206,7 +206,7 @@ def test_sixty_points_take_well_below_a_second(tmp_path: Path) -> None:
         assert (time.monotonic() - begin) / 200 < 0.03
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_six_simulated_hours_of_motion_leave_memory_and_files_as_they_were(tmp_path: Path) -> None:
     with process("--speed", "1000", truth=tmp_path / "truth.json") as robot:
         number, memory, files, begun = 0, [], [], 0.0
