@@ -3,8 +3,8 @@
     python benchmarks/first_diagnosis.py [--runs 1] [--poses 200]
 
 Each in a process of its own, on one thread: a robot's pose table and its torque log, each with a hidden effect. Time is
-processor time with that of the compiler. The last two columns are ratios to the time without a compiler. What is
-compiled only once that pays takes at most as long as two of the better ones (clampid.chain.compiled).
+processor time with that of the compiler. The last two columns are ratios to the time without a compiler: where the
+first of them is above 1, too much is compiled (clampid.chain.compiled).
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Functions of single rows run over whole blocks of rows, in compiled C where a C compiler is found.
 
-Where it can, the compiled function does eight rows at once (`clampid.chain.lanes`). To compile takes a second, which
-most functions of a fit do not save: :class:`Rowwise` and :class:`Deferred` compile what pays. Without a compiler
-functions run in casadi's own machine: the same numbers, slower. What was compiled is kept in the user's cache folder
-under the hash of what it computes and its own. So each function is compiled once on a machine, and a library that was
-cut off or changed is made again instead of ending the process (see :mod:`clampid.chain.library_folder`).
+Where it can, the compiled function does eight rows at once (`clampid.chain.lanes`). A function that is used for a few
+fits alone is compiled only where its rows pay for that (:class:`Rowwise`). Without a compiler functions
+run in casadi's own machine: the same numbers, slower. What was compiled is kept in the user's cache folder under the
+hash of what it computes and its own. So each function is compiled once on a machine, and a library that was cut off or
+changed is made again instead of ending the process (see :mod:`clampid.chain.library_folder`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import subprocess
 from collections.abc import Callable, Sequence
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -30,7 +30,7 @@ from clampid.chain.lanes import Lanes
 from clampid.chain.library_folder import digest_of, is_whole, own_folder, remove_oldest, used_now
 from experiments.outputs import flush_folder, scratch_folder
 
-__all__ = ["Blocks", "Deferred", "Rowwise", "compile_function", "compile_rows", "compiler"]
+__all__ = ["Blocks", "Rowwise", "compile_function", "compile_piece", "compile_rows", "compiler", "pieces_pay"]
 
 Array = npt.NDArray[np.float64]
 
@@ -43,6 +43,9 @@ NATIVE = ("-std=gnu99", "-march=native", "-fopenmp-simd", "-Wno-psabi")  # for t
 # Seconds, measured on one core and rounded: of the compiler to begin, and for an instruction; and what a row of
 # an instruction takes less when it is compiled. Their ratios alone count.
 BEGINS, COMPILES, SAVES = 0.06, 6e-4, 6e-9
+# Rows of a call, from which on pieces are compiled: as long as that takes, twenty calls with so many rows save. A
+# diagnosis of a log makes about as many calls of a piece.
+PIECE_ROWS = 5000
 # Calls of a function of a fit: its points, and those of later fits with the same law at the same places. Measured in
 # ``auto`` on two sessions of a UR10: 55 for each library.
 CALLS = 50
@@ -100,12 +103,13 @@ class Rowwise:
 
     def __init__(self, function: Any, calls: int = CALLS) -> None:
         self.function, self.calls = function, calls
-        self._instructions = _instructions(function)
+        self._instructions = function.n_instructions() if function.is_a("SXFunction") else 0
 
     def __call__(self, theta: Array, *columns: Array) -> list[Array]:
         """As :class:`Blocks`."""
         rows = len(columns[0]) if columns else 0
-        worth = self.calls * SAVES * rows * self._instructions > _price(self._instructions)
+        gain = self.calls * SAVES * rows * self._instructions
+        worth = gain > BEGINS + COMPILES * self._instructions
         return (self._compiled if worth else self._blocks)(theta, *columns)
 
     @property
@@ -120,66 +124,6 @@ class Rowwise:
     @cached_property
     def _compiled(self) -> Blocks | Lanes:
         return _lanes(self.function) or self._blocks
-
-
-class Deferred:
-    """A function of (parameters, row) that is compiled as soon as its calls have lost as much time as that takes.
-
-    So it takes at most twice as long as what would have been best in hindsight (Karlin et al., Competitive snoopy
-    caching, Algorithmica 3, 1988). Calls of all functions that compute the same count together. The loss is reckoned
-    from rows and instructions, not measured: a program that runs twice has the same results, to the last digit.
-
-    Parameters
-    ----------
-    function
-        A ``casadi.Function`` of (parameters, row), dense.
-    """
-
-    _lost: ClassVar[dict[str, float]] = {}  # seconds, by what a function computes
-
-    def __init__(self, function: Any) -> None:
-        self.function = function
-        self.instructions = _instructions(function)
-
-    @property
-    def pays(self) -> bool:
-        """Whether it is compiled now, if there is a compiler."""
-        return self._lost.get(self._content, 0.0) > _price(self.instructions)
-
-    def lose(self, rows: float) -> None:
-        """Count so many rows as computed without having been compiled."""
-        self._lost[self._content] = self._lost.get(self._content, 0.0) + SAVES * rows * self.instructions
-
-    def __call__(self, theta: Array, *columns: Array) -> list[Array]:
-        """As :class:`Blocks`."""
-        if not self.pays:
-            self.lose(len(columns[0]) if columns else 0)
-        return self.now(theta, *columns)
-
-    def now(self, theta: Array, *columns: Array) -> list[Array]:
-        """The same, its rows counted by the caller."""
-        return (self._compiled if self.pays else self._blocks)(theta, *columns)
-
-    @cached_property
-    def _content(self) -> str:
-        return _content_of(self.function)
-
-    @cached_property
-    def _blocks(self) -> Blocks:
-        return Blocks(self.function)
-
-    @cached_property
-    def _compiled(self) -> Blocks | Lanes:
-        return _lanes(self.function) or self._blocks
-
-
-def _instructions(function: Any) -> int:
-    return function.n_instructions() if function.is_a("SXFunction") else 0
-
-
-def _price(instructions: int) -> float:
-    """Seconds to compile a function of so many instructions."""
-    return BEGINS + COMPILES * instructions
 
 
 def compiler() -> list[str] | None:
@@ -205,6 +149,16 @@ def compile_rows(function: Any) -> Blocks | Lanes:
     return _lanes(function) or Blocks(compile_function(function))
 
 
+def compile_piece(function: Any) -> Blocks | Lanes:
+    """A casadi function as of `compile_rows`, for one that many models share: see :mod:`clampid.chain.piecewise`."""
+    return _lanes(function) or Blocks(function)
+
+
+def pieces_pay(rows: int) -> bool:
+    """Whether functions of so many rows are compiled piece by piece: with a compiler, where there are enough rows."""
+    return rows >= PIECE_ROWS and compiler() is not None
+
+
 def _lanes(function: Any) -> Lanes | None:
     """The function compiled for eight rows at once; None where that cannot be had."""
     if not function.is_a("SXFunction"):
@@ -219,11 +173,6 @@ def _lanes(function: Any) -> Lanes | None:
     except (OSError, AttributeError) as error:  # it is no library, or another function's
         _log.info("%s runs row by row: %s", function.name(), error)
         return None
-
-
-def _content_of(function: Any) -> str:
-    """What a function computes, as a hash."""
-    return hashlib.sha256(_anonymous(function).serialize().encode()).hexdigest()
 
 
 @cache

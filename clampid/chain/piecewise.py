@@ -2,8 +2,7 @@
 
 The source of a whole chain changes with each effect that is added, and the compiler takes seconds for it, for each of
 the dozens of models of a diagnosis. A piece has the outputs of one station, and reads only the numbers that these
-depend on. It changes only if something is added at its own joint, and all joints of one law have the same piece. Each
-is compiled once that pays (:class:`clampid.chain.compiled.Deferred`).
+depend on. It changes only if something is added at its own joint, and all joints of one law have the same piece.
 """
 
 from __future__ import annotations
@@ -17,14 +16,13 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from clampid.chain.compiled import Blocks, Deferred, compiler
+from clampid.chain.compiled import Blocks, compile_piece, pieces_pay
+from clampid.chain.lanes import Lanes
 
 __all__ = ["Piecewise", "runs_of"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
-
-PIECE_ROWS = 1000  # of a call, from which on pieces may pay: to find them takes as long as some hundred rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +39,16 @@ class _Piece:
         Which outputs of the whole function they are: its value ``(0,)`` or ``(1,)``, and its partials.
     """
 
-    function: Deferred
+    function: Any
     theta: Integers
     row: Integers
     value: Integers
     partials: Integers
+
+    @cached_property
+    def compiled(self) -> Blocks | Lanes:
+        """What evaluates it."""
+        return compile_piece(self.function)
 
     def read(self, columns: Sequence[Array]) -> Array:
         """The numbers ``(N, r)`` of the rows that it reads, from the blocks of all numbers side by side."""
@@ -67,10 +70,9 @@ def runs_of(numbers: Integers) -> list[slice]:
 
 
 class Piecewise:
-    """A function of (parameters, row) to values and partials, compiled piece by piece as far as that pays.
+    """A function of (parameters, row) to values and partials, compiled piece by piece where its rows pay for that.
 
-    Until then pieces repeat what others compute as well. So the whole function runs in casadi's machine instead, as
-    long as that has fewer instructions than all pieces that are not compiled.
+    Which calls are compiled depends on the number of rows alone, so that the same call has the same result at any time.
 
     Parameters
     ----------
@@ -86,27 +88,14 @@ class Piecewise:
 
     def __call__(self, theta: Array, *columns: Array) -> list[Array]:
         """As :class:`clampid.chain.compiled.Blocks`."""
-        rows = len(columns[0]) if columns else 0
-        if rows < PIECE_ROWS or compiler() is None or not self._worth_pieces(rows):
+        if not columns or not pieces_pay(len(columns[0])):
             return self._blocks(theta, *columns)
         values, partials = (np.zeros((len(columns[0]), self.function.nnz_out(k))) for k in range(2))
         for piece in self._pieces:
-            (found,) = piece.function.now(theta[piece.theta], piece.read(columns))
+            (found,) = piece.compiled(theta[piece.theta], piece.read(columns))
             values[:, piece.value] = found[:, : len(piece.value)]
             partials[:, piece.partials] = found[:, len(piece.value) :]
         return [values, partials]
-
-    def _worth_pieces(self, rows: int) -> bool:
-        """Count so many rows of the pieces that are not compiled; whether these are less than the whole now."""
-        whole = self.function.n_instructions()
-        apart = self._not_compiled()
-        share = min(1.0, whole / max(sum(f.instructions for f in apart), 1))
-        for f in apart:
-            f.lose(share * rows)
-        return bool(sum(f.instructions for f in self._not_compiled()) < whole)
-
-    def _not_compiled(self) -> list[Deferred]:
-        return [p.function for p in self._pieces if not p.function.pays]
 
     @cached_property
     def _blocks(self) -> Blocks:
@@ -130,5 +119,5 @@ class Piecewise:
             of_theta, of_row = read[read < theta.shape[0]], read[read >= theta.shape[0]] - theta.shape[0]
             inputs = [theta[of_theta.tolist()], row[of_row.tolist()]]
             function = ca.Function("piece", inputs, [outputs[mine.tolist()]])
-            out.append(_Piece(Deferred(function), of_theta, of_row, value, own))
+            out.append(_Piece(function, of_theta, of_row, value, own))
         return out

@@ -11,7 +11,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from clampid.chain.compiled import Deferred
+from clampid.chain.compiled import Blocks, compile_rows
+from clampid.chain.lanes import Lanes
 from clampid.stages.rows import Array
 from kinematics.symbolic import cayley_left_jacobian_sx, cayley_sx, exponential_sx, hat_sx
 
@@ -23,12 +24,12 @@ def link_points(robot: Any) -> Array:
     return np.array([*(joint.point for joint in robot.joints[1:]), robot.flange[:3, 3]])
 
 
-def kernel(robot: Any) -> Deferred:
+def kernel(robot: Any) -> Blocks | Lanes:
     """Position, rotation and sensitivity of rows (q, base reference, target, deviations) of this robot.
 
     Returns
     -------
-    Deferred
+    Blocks or Lanes
         With inputs ``q (N, n)``, base reference ``(N, 12)`` (rotation by rows, position), target ``(N, 3)``, deviations
         ``(N, S)`` at joint angles, base, links, target and measurement; outputs position ``(N, 3)``, rotation by rows
         ``(N, 9)``, sensitivity by rows ``(N, 6 S)``, m and rad, instrument frame.
@@ -38,10 +39,10 @@ def kernel(robot: Any) -> Deferred:
 
 
 @lru_cache(maxsize=64)
-def _kernel(n: int, linkage: bytes, screws: bytes, points: bytes, flange: bytes) -> Deferred:
+def _kernel(n: int, linkage: bytes, screws: bytes, points: bytes, flange: bytes) -> Blocks | Lanes:
     shapes = ((n, n), (n, 6), (n, 3), (4, 4))
     arm = [np.frombuffer(b).reshape(shape) for b, shape in zip((linkage, screws, points, flange), shapes, strict=True)]
-    return Deferred(pose_function(*arm))
+    return compile_rows(pose_function(*arm))
 
 
 def pose_function(linkage: Array, screws: Array, points: Array, flange: Array) -> Any:

@@ -15,7 +15,8 @@ import casadi as ca
 import numpy as np
 
 from clampid.chain.chain import Chain, recorded
-from clampid.chain.compiled import Deferred
+from clampid.chain.compiled import Blocks, compile_rows
+from clampid.chain.lanes import Lanes
 from clampid.stages.loads import declared_weight, flange_to_base, inertial_bodies
 from clampid.stages.rows import Array, Integers
 from experiments.campaign import Campaign
@@ -48,7 +49,7 @@ class TorqueKernel:
     signals: tuple[tuple[str, int], ...]
     touched: tuple[Integers, ...]
     linear: bool
-    function: Deferred
+    function: Blocks | Lanes
 
     def stacked(self, signals: Mapping[str, Array], chosen: Integers) -> Array:
         """Of some rows ``(N,)`` the signals that the function reads, each ``(w, …)``, beside each other ``(N, s)``."""
@@ -109,7 +110,7 @@ def torque_kernel(campaign: Campaign, chain: Chain) -> TorqueKernel:
     output = ca.densify(ca.vertcat(inertia, *rows))
     function = ca.Function("torques", [theta, ca.vertcat(*inputs.values())], [ca.cse(output)])
     widths = tuple((name, symbol.shape[0]) for name, symbol in inputs.items())
-    return TorqueKernel(widths, tuple(touched), linear, Deferred(function))
+    return TorqueKernel(widths, tuple(touched), linear, compile_rows(function))
 
 
 def _computed(campaign: Campaign, row: dict[str, Any]) -> dict[str, Any]:

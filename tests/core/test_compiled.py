@@ -10,19 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from clampid.chain import compiled
-from clampid.chain.compiled import (
-    BEGINS,
-    BLOCK,
-    COMPILES,
-    SAVES,
-    Blocks,
-    Deferred,
-    Rowwise,
-    compile_function,
-    compile_rows,
-    compiler,
-)
+from clampid.chain.compiled import BLOCK, Blocks, Rowwise, compile_function, compile_rows, compiler
 from clampid.chain.lanes import Lanes, lanes_source
 from clampid.chain.library_folder import remove_oldest, used_now
 
@@ -40,7 +28,6 @@ def expected(theta: np.ndarray, rows: np.ndarray) -> np.ndarray:
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(Deferred, "_lost", {})
     return tmp_path
 
 
@@ -181,35 +168,10 @@ def test_many_rows_of_a_long_function_are_compiled_and_few_are_not(cache: Path):
     assert len(list(cache.rglob("*.so"))) == 1
 
 
-@pytest.mark.skipif(compiler() is None, reason="no C compiler here")
-def test_a_function_is_compiled_once_its_calls_have_lost_as_much_as_that_takes(cache: Path):
-    f, slow = long_function(400), Blocks(long_function(400))
-    rows, theta = np.random.default_rng(0).normal(size=(3000, 400)), np.array([1.3])
-    price = BEGINS + COMPILES * f.n_instructions()
-    calls = int(price // (SAVES * len(rows) * f.n_instructions()))
-    assert calls > 10
-    for k in range(calls + 1):
-        # Each model has its own function: those that compute the same count together.
-        found = Deferred(long_function(400))(theta, rows)[0]
-        assert len(list(cache.rglob("*.so"))) == (1 if k == calls else 0)
-        np.testing.assert_allclose(found, slow(theta, rows)[0], rtol=1e-13, atol=1e-13)
-    np.testing.assert_array_equal(Deferred(long_function(401))(theta, rows[:, :1] * np.ones(401))[0].shape, (3000, 401))
-    assert len(list(cache.rglob("*.so"))) == 1  # another one begins anew
-
-
-@pytest.mark.skipif(compiler() is None, reason="no C compiler here")
-def test_a_call_that_alone_loses_more_is_compiled_before_it(cache: Path):
-    rows = np.random.default_rng(1).normal(size=(400_000, 3))
-    Deferred(every_operation())(np.array([0.3]), rows)
-    assert len(list(cache.rglob("*.so"))) == 1
-
-
 def test_without_a_compiler_many_rows_have_the_same_numbers(cache: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("CLAMPID_COMPILER", "none")
-    monkeypatch.setattr(compiled, "SAVES", 1.0)
     f, rows, theta = long_function(400), np.random.default_rng(0).normal(size=(3000, 400)), np.array([1.3])
-    for kind in (Deferred, Rowwise):
-        np.testing.assert_array_equal(kind(f)(theta, rows)[0], Blocks(f)(theta, rows)[0])
+    np.testing.assert_array_equal(Rowwise(f)(theta, rows)[0], Blocks(f)(theta, rows)[0])
 
 
 def test_of_too_many_libraries_those_used_longest_ago_go(tmp_path: Path):

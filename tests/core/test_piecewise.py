@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.chain import compiled
-from clampid.chain.compiled import Blocks, Deferred, compiler
-from clampid.chain.piecewise import PIECE_ROWS, Piecewise
+from clampid.chain.compiled import PIECE_ROWS, Blocks, compiler
+from clampid.chain.piecewise import Piecewise
 from clampid.identification.fitted_stage import active_slots
 from clampid.identification.identify import layout_of, stage_rows
 from clampid.slots import Term
@@ -24,14 +23,7 @@ NAMES = ("gravity", "inertia", "coulomb_friction", "viscous_friction", "stribeck
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(Deferred, "_lost", {})
     return tmp_path
-
-
-@pytest.fixture
-def all_pays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So much is saved by a compiled row that the first call pays."""
-    monkeypatch.setattr(compiled, "SAVES", 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +42,7 @@ def somewhere(problem: FitProblem) -> np.ndarray:
 
 
 @pytest.mark.parametrize("which", ["whole", "bent", "derivatives from the ninth on"])
-def test_pieces_give_the_numbers_of_the_whole(cache: Path, all_pays: None, rows: Rows, which: str):
+def test_pieces_give_the_numbers_of_the_whole(cache: Path, rows: Rows, which: str):
     problem = problem_of(rows, *NAMES)
     theta, chain = somewhere(problem)[: len(problem.slots)], problem.chain
     if which == "bent":
@@ -66,7 +58,7 @@ def test_pieces_give_the_numbers_of_the_whole(cache: Path, all_pays: None, rows:
 
 
 @pytest.mark.skipif(compiler() is None, reason="no C compiler here")
-def test_an_effect_of_one_motor_is_all_there_is_to_compile(cache: Path, all_pays: None, rows: Rows):
+def test_an_effect_of_one_motor_is_all_there_is_to_compile(cache: Path, rows: Rows):
     """And one law of six motors is compiled once."""
     libraries = []
     for labels in (NAMES, (*NAMES, "torque_offset@joint2"), (*NAMES, "torque_offset@joint2", "torque_offset@joint4")):
@@ -78,28 +70,10 @@ def test_an_effect_of_one_motor_is_all_there_is_to_compile(cache: Path, all_pays
     assert others == [1, 1]
 
 
-@pytest.mark.parametrize("count", [PIECE_ROWS - 1, PIECE_ROWS])
-def test_a_few_calls_with_few_rows_are_not_compiled(cache: Path, rows: Rows, count: int):
-    problem = problem_of(rows.take(np.arange(count)), *NAMES)
-    for _ in range(3):
-        problem.residual(somewhere(problem))
+def test_few_rows_are_not_compiled(cache: Path, rows: Rows):
+    problem = problem_of(rows.take(np.arange(PIECE_ROWS - 1)), *NAMES)
+    problem.residual(somewhere(problem))
     assert list(cache.rglob("*.so")) == []
-
-
-@pytest.mark.skipif(compiler() is None, reason="no C compiler here")
-def test_pieces_that_pay_are_compiled_beside_others_that_do_not(cache: Path, rows: Rows):
-    """The same numbers all the way; in the end all pieces are compiled."""
-    problem = problem_of(rows, *NAMES)
-    theta, chain = somewhere(problem)[: len(problem.slots)], problem.chain
-    columns, libraries = chain._columns(rows.signals, None), []
-    expected = Blocks(chain.function.function)(theta, *columns)
-    for _ in range(400):
-        for mine, theirs in zip(chain.function(theta, *columns), expected, strict=True):
-            np.testing.assert_allclose(mine, theirs, rtol=1e-12, atol=1e-13 * np.abs(theirs).max(initial=0.0))
-        libraries.append(len(list(cache.rglob("*.so"))))
-    assert libraries[0] == 0
-    assert sorted(set(libraries))[1] < libraries[-1]
-    assert not chain.function._not_compiled()
 
 
 @pytest.mark.parametrize("count", [50, PIECE_ROWS])
