@@ -1,10 +1,10 @@
 """Functions of single rows run over whole blocks of rows, in compiled C where a C compiler is found.
 
 Where it can, the compiled function does eight rows at once (`clampid.chain.lanes`). A function that is used for a few
-fits alone is compiled only where its rows pay for that (:class:`Rowwise`). Without a compiler functions
-run in casadi's own machine: the same numbers, slower. What was compiled is kept in the user's cache folder under the
-hash of what it computes and its own. So each function is compiled once on a machine, and a library that was cut off or
-changed is made again instead of ending the process (see :mod:`clampid.chain.library_folder`).
+fits alone is compiled only where its rows pay for that (:class:`Rowwise`). Without a compiler functions run in casadi's
+own machine: the same numbers, slower. What was compiled is kept in the user's cache folder under the hash of what it
+computes and its own. So each function is compiled once on a machine, and a library that was cut off or changed is made
+again instead of ending the process (see :mod:`clampid.chain.library_folder`).
 """
 
 from __future__ import annotations

@@ -18,8 +18,9 @@ from clampid.fitting.further_columns import Derivatives, whitened_columns
 from clampid.fitting.gauge import independent_geometry
 from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate
+from clampid.roles import Role
 from clampid.slots import Slot, Term, number_of, slots_of
-from clampid.stages.fit_problem import parameter_of
+from clampid.stages.fit_problem import FitProblem, parameter_of
 from clampid.stages.rows import Array
 from clampid.stages.temperatures import reads_temperatures
 
@@ -272,9 +273,8 @@ def _friction_of_log(estimate: Estimate, share: float) -> dict[Slot, float]:
     most = problem.rows.pose.log_friction if problem.kind.points else None
     if most is None:
         return {}
-    play = {problem.slots[k].place for k in problem.numbers_of("clearance")}
-    own = [problem.slots[k] for k in problem.numbers_of("arm_friction") if problem.slots[k].place not in play]
-    return _changed(estimate, {s: share * float(most[s.number]) for s in own if np.isfinite(most[s.number])})
+    own = [slot for slot in _frictions_beside_no(problem, "clearance") if np.isfinite(most[slot.number])]
+    return _changed(estimate, {slot: share * float(most[slot.number]) for slot in own})
 
 
 def _no_friction(estimate: Estimate) -> dict[Slot, float]:
@@ -282,9 +282,13 @@ def _no_friction(estimate: Estimate) -> dict[Slot, float]:
     problem = estimate.problem
     if not problem.kind.points:
         return {}
-    springs = {problem.slots[k].place for k in problem.numbers_of("compliance")}
-    own = [problem.slots[k] for k in problem.numbers_of("arm_friction") if problem.slots[k].place not in springs]
-    return _changed(estimate, dict.fromkeys(own, 0.0))
+    return _changed(estimate, dict.fromkeys(_frictions_beside_no(problem, "compliance"), 0.0))
+
+
+def _frictions_beside_no(problem: FitProblem, role: Role) -> list[Slot]:
+    """Frictions at the arm's side of joints that have no parameter of a role."""
+    there = {problem.slots[k].place for k in problem.numbers_of(role)}
+    return [problem.slots[k] for k in problem.numbers_of("arm_friction") if problem.slots[k].place not in there]
 
 
 def _changed(estimate: Estimate, wanted: dict[Slot, float]) -> dict[Slot, float]:
@@ -294,11 +298,13 @@ def _changed(estimate: Estimate, wanted: dict[Slot, float]) -> dict[Slot, float]
 
 
 def _with(estimate: Estimate, changed: Mapping[Slot, float]) -> Estimate:
-    """The fit with other values of some of its parameters; of other parameters' values nothing is taken."""
+    """The fit with other values of those of its parameters that are among ``changed``."""
+    if not changed:
+        return estimate
     theta = estimate.theta.copy()
     for k, slot in enumerate(estimate.slots):
         theta[k] = changed.get(slot, theta[k])
-    return replace(estimate, theta=theta) if changed else estimate
+    return replace(estimate, theta=theta)
 
 
 def columns_of(estimate: Estimate, candidates: Sequence[Candidate]) -> Array:

@@ -205,8 +205,6 @@ def _load_variance(estimate: Estimate, joint: int) -> float:
     if not masses:
         return 0.0
     part = {"": 0, "x": 1, "y": 2, "z": 3}  # axis of a first moment; a mass has none
-    at = [
-        (int(estimate.slots[k].place.removeprefix("link")), part[estimate.problem.parameters[k].axis]) for k in masses
-    ]
-    Y = estimate.problem.rows.signals["regressor"][:, joint][:, [4 * (link - 1) + p for link, p in at]]
+    at = [4 * estimate.slots[k].number + part[estimate.problem.parameters[k].axis] for k in masses]
+    Y = estimate.problem.rows.signals["regressor"][:, joint][:, at]
     return float(np.mean(np.einsum("np,pq,nq->n", Y, estimate.covariance[np.ix_(masses, masses)], Y)))

@@ -101,6 +101,7 @@ def test_what_is_granted_to_the_model_is_no_evidence(simulated: Callable[..., Ca
     assert space.granting(own[:, :0]) is space
 
 
+@pytest.mark.slow
 def test_springs_and_clearances_are_scored_with_other_friction_too(simulated: Callable[..., Campaign]):
     """Without a spring only flanks show friction, without a clearance nothing does; columns are those of its values."""
     campaign = simulated(seed=7, poses=60, tables=("free_air", "wrist", "poses"))
