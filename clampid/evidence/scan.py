@@ -1,9 +1,9 @@
 """Effects that act over a few degrees of one joint, such as a bump, tried at every angle that poses visited.
 
 The column of an angle is the derivative of the measurement by the joint's angle, times the effect's shape about that
-angle. So the effect is evaluated once, and each angle costs a sparse product. The best angle of each joint becomes a
-candidate. Its shape is then refined between the angles tried, and each shape parameter is charged like an amplitude. An
-angle needs several visits near it: the error of a single visit may have a cause of its own.
+angle. So the effect is evaluated once, and each angle costs a product. The best angle of each joint becomes a
+candidate. If it is nearly significant, its shape is refined between the angles tried; each shape parameter is charged
+like an amplitude. An angle needs several visits near it: the error of a single visit may have a cause of its own.
 
 Such an effect moves only a few visits. Sign flips are no valid null for it: with a dozen visits that are all far off,
 flipped signs reach sums as large as the observed one far too often. The null is therefore that the visits' errors are
@@ -47,6 +47,7 @@ ANGLES_PER_TURN = 3600  # at which a shape is tabulated
 # Standard deviations at which visits are clipped in the null: one wrong visit of three must not look like a bump.
 LARGEST_RESIDUAL_IN_NULL = 3.0
 FADED = 1e-9  # of a column's largest number: beside readings that wander, a visit fades from the numbers after it
+REFINED_BELOW = 0.1  # p: the shape of what is not nearly significant is left at the best angle tried
 SCAN_STEP = 2.0 / 3.0  # distance of the angles tried, in widths at half height: at most a tenth of the height is missed
 
 
@@ -79,6 +80,11 @@ class _Tried:
     visit_error: Array
     levers: Levers
 
+    @property
+    def best(self) -> Mapping[str, float]:
+        """The shapes that explain most."""
+        return self.shapes[int(np.argmax(self.explained))]
+
     def statistic(self, visit_error: Array) -> Array:
         """What each angle explains of visit errors ``(..., V)``: ``(..., C)``, of mean 1 under the null."""
         return np.asarray(visit_error @ self.weight) ** 2
@@ -107,12 +113,11 @@ def scan(estimate: Estimate, space: Space, effects: Mapping[str, Effect], exchan
     middle = float(np.mean(maxima)) - np.euler_gamma * spread
     found = []
     for t in tried:
-        best = _refined(estimate, space, t)
-        s = score(space, [best])[0]
         off = (float(t.statistic(t.visit_error).max()) - middle) / spread
         log_p = float(np.log(-np.expm1(-np.exp(-off)))) if off < 30.0 else -off
+        best = _refined(estimate, space, t) if log_p < np.log(REFINED_BELOW) else _candidate(estimate, t, t.best)
         chosen = len(best.shapes) * float(np.log(max(space.rows, 2)))
-        found.append(s.of_many(log_p, chosen))
+        found.append(score(space, [best])[0].of_many(log_p, chosen))
     return found
 
 
@@ -190,11 +195,14 @@ def _places(
                 functions.append(table[(at - k) % ANGLES_PER_TURN])
     if not shapes:
         return None
-    D = (sparse.diags(lever) @ sparse.csr_matrix(np.array(functions).T)[levers.entry]).tocsc()
-    if levers.innovations is not None:
-        D = sparse.csc_matrix(levers.innovations(D.toarray()))
+    D: Array | sparse.csc_matrix
+    if levers.innovations is None:
+        D = (sparse.diags(lever) @ sparse.csr_matrix(np.array(functions).T)[levers.entry]).tocsc()
+        gram = np.asarray(D.multiply(D).sum(axis=0)).ravel()
+    else:  # a whitened column is nowhere zero after the first visit that it moves
+        D = levers.innovations(lever[:, None] * np.array(functions).T[levers.entry])
+        gram = np.einsum("mc,mc->c", D, D)
     absorbed = np.asarray(D.T @ space.basis[: space.rows])  # (C, r)
-    gram = np.asarray(D.multiply(D).sum(axis=0)).ravel()
     left = gram - np.sum(absorbed**2, axis=1)
     able = np.flatnonzero(left > WEAK_BELOW * np.maximum(gram, 1e-300))
     if not len(able):
@@ -204,7 +212,9 @@ def _places(
     return _Tried(effect, j, tuple(shapes[k] for k in able), explained, weight, visit_error, levers)
 
 
-def _by_visit(space: Space, visit: Integers, lever: Array, D: sparse.csc_matrix) -> tuple[sparse.csc_matrix, Array]:
+def _by_visit(
+    space: Space, visit: Integers, lever: Array, D: Array | sparse.csc_matrix
+) -> tuple[sparse.csc_matrix, Array]:
     """Weights ``(V, C)`` and errors ``(V,)`` of the visits that see a joint's angle, as :class:`_Tried` has them."""
     count = int(visit.max(initial=-1)) + 1
     sees = np.sqrt(np.bincount(visit, lever**2, minlength=count))
@@ -216,14 +226,14 @@ def _by_visit(space: Space, visit: Integers, lever: Array, D: sparse.csc_matrix)
         LARGEST_RESIDUAL_IN_NULL,
     )
     member = sparse.csr_matrix((lever, (visit, np.arange(len(visit)))), shape=(count, len(visit)))
-    weight = sparse.diags(1.0 / sees[able]) @ (member @ D)[able]
+    weight = sparse.diags(1.0 / sees[able]) @ sparse.csr_matrix(member @ D)[able]
     length = np.sqrt(np.asarray(weight.multiply(weight).sum(axis=0)).ravel())
     return (weight @ sparse.diags(1.0 / np.maximum(length, 1e-300))).tocsc(), visit_error
 
 
 def _refined(estimate: Estimate, space: Space, tried: _Tried) -> Candidate:
     """The candidate with the shapes, within their bounds, that explain most, searched from the best angle tried."""
-    at = dict(tried.shapes[int(np.argmax(tried.explained))])
+    at = dict(tried.best)
     bounds = {name: tried.effect.by_name[name].bounds for name in at}
     step = {name: 0.25 * tried.effect.by_name[name].size for name in at} | {str(tried.effect.scanned): 0.02}
 

@@ -12,7 +12,7 @@ formed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,12 +26,15 @@ from clampid.stages.rows import Array, Integers
 
 __all__ = ["AmplitudePoint", "has_many_amplitudes"]
 
+LARGE = poses.PARAMETERS_OF_A_LARGE_CHAIN
+ROWS_AT_ONCE = 512  # whose columns are formed together: more saves no time and needs more memory
+
 
 def has_many_amplitudes(problem: FitProblem, noise: Noise) -> bool:
     """Whether the normal equations of this problem are computed faster by stations."""
     if not problem.kind.points or noise.autocorrelations or noise.wander:
         return False
-    return bool(np.bincount(problem.chain.station, minlength=1).max() >= poses.PARAMETERS_OF_A_LARGE_CHAIN)
+    return bool(np.bincount(problem.chain.station, minlength=1).max() >= LARGE)
 
 
 @dataclass(frozen=True)
@@ -121,32 +124,34 @@ class AmplitudePoint:
 
     @cached_property
     def _normal(self) -> tuple[Array, Array]:
-        """Normal matrix ``(P, P)`` and downhill gradient ``(P,)``, computed by stations."""
-        d, s = self.deviations, self._levers
-        many = [
-            (a, run) for a, run in self.problem.chain.runs if run.stop - run.start >= poses.PARAMETERS_OF_A_LARGE_CHAIN
-        ]
-        apart = np.ones(len(d.station), dtype=bool)
-        for _, run in many:
-            apart[run] = False
-        A = np.zeros((len(self.theta), len(self.theta)))
+        """Normal matrix ``(P, P)`` and downhill gradient ``(P,)``: own curves by stations, all else by columns.
 
-        parameters, J = _columns(s, d, np.flatnonzero(apart))
-        flat = J.reshape(-1, J.shape[2])
-        A[np.ix_(parameters, parameters)] += flat.T @ flat
-        levers = [np.ascontiguousarray(s[:, :, a]) for a, _ in many]
-        for k, (a, run) in enumerate(many):
-            own, partials = d.parameter[run], d.partials[:, run]
-            cross = partials.T @ np.einsum("nc,ncp->np", levers[k], J)
-            A[np.ix_(own, parameters)] += cross
-            A[np.ix_(parameters, own)] += cross.T
-            for lever, (b, other) in zip(levers[k:], many[k:], strict=True):
-                together = np.sum(levers[k] * lever, axis=1)
-                block = partials.T @ (together[:, None] * d.partials[:, other])
-                theirs = d.parameter[other]
-                A[np.ix_(own, theirs)] += block
-                if b != a:
-                    A[np.ix_(theirs, own)] += block.T
+        Of a curve that joints share, each pair of joints would be multiplied; as columns it is multiplied once.
+        """
+        d, s = self.deviations, self._levers
+        alone = np.bincount(d.parameter, minlength=len(self.theta))[d.parameter] == 1
+        each = [(a, np.flatnonzero(alone[run]) + run.start) for a, run in self.problem.chain.runs]
+        own = [(a, entries) for a, entries in each if len(entries) >= LARGE]
+        rest = np.ones(len(d.station), dtype=bool)
+        for _, entries in own:
+            rest[entries] = False
+        A = np.zeros((len(self.theta), len(self.theta)))
+        for first in range(0, len(s), ROWS_AT_ONCE):
+            some = slice(first, first + ROWS_AT_ONCE)
+            partials = d.partials[some]
+            parameters, J = _columns(s[some], replace(d, partials=partials), np.flatnonzero(rest))
+            flat = J.reshape(-1, J.shape[2])
+            A[np.ix_(parameters, parameters)] += flat.T @ flat
+            curves = [(d.parameter[k], np.ascontiguousarray(s[some, :, a]), partials[:, k]) for a, k in own]
+            for k, (mine, lever, by) in enumerate(curves):
+                cross = by.T @ np.einsum("nc,ncp->np", lever, J)
+                A[np.ix_(mine, parameters)] += cross
+                A[np.ix_(parameters, mine)] += cross.T
+                for number, (theirs, other, by_other) in enumerate(curves[k:]):
+                    block = by.T @ (np.sum(lever * other, axis=1)[:, None] * by_other)
+                    A[np.ix_(mine, theirs)] += block
+                    if number:
+                        A[np.ix_(theirs, mine)] += block.T
         return A, self.gradient()
 
 
@@ -182,10 +187,15 @@ def _columns(s: Array, d: Deviations, entries: Integers) -> tuple[Integers, Arra
     one = count[column] == 1
     out[:, :, column[one]] = s[:, :, d.station[entries[one]]] * d.partials[:, None, entries[one]]
     several = entries[~one]
-    if len(several):  # all masses change all joint loads, so this block is nearly full
-        of, column = np.unique(d.parameter[several], return_inverse=True)
-        stations, row = np.unique(d.station[several], return_inverse=True)
-        block = np.zeros((len(s), len(stations), len(of)))
-        block[:, row, column] = d.partials[:, several]
-        out[:, :, np.searchsorted(parameters, of)] = s[:, :, stations] @ block
+    # All masses change all joint loads, so this block is nearly full; so is that of a curve that joints share.
+    large = (np.bincount(d.station[several], minlength=s.shape[2]) >= LARGE)[d.station[several]]
+    for some in (several[large], several[~large]):
+        if len(some):
+            of, column = np.unique(d.parameter[some], return_inverse=True)
+            stations, row = np.unique(d.station[some], return_inverse=True)
+            block = np.zeros((len(s), len(stations), len(of)))
+            block[:, row, column] = d.partials[:, some]
+            at = np.searchsorted(parameters, of)
+            beside = slice(at[0], at[-1] + 1) if at[-1] - at[0] + 1 == len(at) else at  # a slice needs no copies
+            out[:, :, beside] += s[:, :, stations] @ block
     return parameters, out

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -242,6 +243,7 @@ def _motions_of(parts: Sequence[LogPart], step: float, default: Way, window: int
     speed = [np.abs(_smoothest(w, n, step, longest)[w.start : w.stop] @ to_motor) for _, _, w in read]
     slow = CLEAR_MOTION * np.max([v.max(axis=0) for v in speed], axis=0)
 
+    @lru_cache(maxsize=2)  # the last two are needed again, and of a long log each is large
     def score(way: Way) -> Regression:
         motions = Motions(n, step, way)
         excerpts = []

@@ -146,14 +146,14 @@ def _fitted(samples: Array, since: Array, own: Bools) -> _Fit:
     along = np.einsum("mkn,mn->mk", samples, whole) / np.maximum(np.sum(whole**2, axis=1), 1e-300)[:, None]
     course = np.maximum.accumulate(np.where(own, along, -np.inf), axis=1)
     middle = np.array([np.interp(0.5, s[:c], t[:c]) for s, t, c in zip(course, since, count, strict=True)])
-    length = since.max(axis=1)
+    length, centred = since.max(axis=1), _centred(samples, own)
     found = []
     for share in RAMPS_TRIED:
         start = np.stack([middle - 0.5 * length, share * length, (1.0 - share) * length], axis=1)
-        found.append(_descended(samples, since, own, start))
+        found.append(_descended(centred, since, own, start))
     least = np.argmin([left for _, left in found], axis=0)
     times = np.array([times for times, _ in found])[least, np.arange(len(least))]
-    left, way, normal, _ = _linearised(samples, since, own, times)
+    left, way, normal, _ = _linearised(centred, since, own, times)
     spare = count * n - 2 * n - UNKNOWN_TIMES
     noise = np.where(spare > 0, np.sqrt(left / np.maximum(spare, 1)), np.inf)
     known = np.isfinite(noise)
@@ -189,24 +189,27 @@ def _descended(samples: Array, since: Array, own: Bools, times: Array) -> tuple[
 
 
 def _linearised(samples: Array, since: Array, own: Bools, times: Array) -> tuple[Array, Array, Array, Array]:
-    """Squares left ``(m,)``, ways ``(m, n)``, normal matrix ``(m, 3, 3)`` and right side ``(m, 3)`` of the times."""
-    count = own.sum(axis=1)
+    """Squares left ``(m,)``, ways ``(m, n)``, normal matrix ``(m, 3, 3)`` and right side ``(m, 3)`` of the times.
 
-    def centred(values: Array) -> Array:
-        weight = own if values.ndim == 2 else own[:, :, None]
-        mean = np.sum(values * weight, axis=1) / (count if values.ndim == 2 else count[:, None])
-        return np.asarray((values - mean[:, None]) * weight)
-
-    course, y = centred(_course(since, times, 0)), centred(samples)
+    ``samples`` ``(m, k, n)``: as :func:`_centred` gives them.
+    """
+    course, slopes = _by_times(since, times)
+    course, slopes = _centred(course[:, :, None], own)[:, :, 0], _centred(slopes, own)
     size = np.maximum(np.sum(course**2, axis=1), 1e-300)
-    way = np.einsum("mk,mkn->mn", course, y) / size[:, None]
-    rest = y - course[:, :, None] * way[:, None]
-    slopes = centred(_by_times(since, times))
-    slopes = slopes - course[:, :, None] * (np.einsum("mk,mkt->mt", course, slopes) / size[:, None])[:, None]
-    energy = np.sum(way**2, axis=1)
-    normal = np.einsum("mks,mkt->mst", slopes, slopes) * energy[:, None, None]
-    right = np.einsum("mkt,mkn,mn->mt", slopes, rest, way)
+    way = (course[:, None] @ samples)[:, 0] / size[:, None]
+    rest = samples - course[:, :, None] * way[:, None]
+    slopes -= course[:, :, None] * ((course[:, None] @ slopes) / size[:, None, None])
+    turned = np.swapaxes(slopes, 1, 2)
+    normal = (turned @ slopes) * np.sum(way**2, axis=1)[:, None, None]
+    right = (turned @ (rest @ way[:, :, None]))[:, :, 0]
     return np.sum(rest**2, axis=(1, 2)), way, normal, right
+
+
+def _centred(values: Array, own: Bools) -> Array:
+    """Values ``(m, k, c)`` of each move's own samples less their mean; zero in the others."""
+    weight = own[:, :, None]
+    mean = np.sum(values * weight, axis=1) / own.sum(axis=1)[:, None]
+    return np.asarray((values - mean[:, None]) * weight)
 
 
 def _course(since: Array, times: Array, order: int) -> Array:
@@ -214,14 +217,15 @@ def _course(since: Array, times: Array, order: int) -> Array:
     return np.asarray(sum(sign * _power(since - knot, 2 - order) for sign, knot in _knots(times)) / _area(times))
 
 
-def _by_times(since: Array, times: Array) -> Array:
-    """Derivatives of s by start, ramp and distance of the ramps ``(m, k, 3)``, 1/s."""
-    course, area = _course(since, times, 0), _area(times)
-    _, (_, k1), (_, k2), (_, k3) = _knots(times)
-    late = _power(since - k3, 1)
-    ramp = (_power(since - k1, 1) - late) / area - course / times[:, 1, None]
-    apart = (_power(since - k2, 1) - late) / area - course / times[:, 2, None]
-    return np.stack([-_course(since, times, 1), ramp, apart], axis=2)
+def _by_times(since: Array, times: Array) -> tuple[Array, Array]:
+    """Share of the way ``(m, k)``, and its derivatives by start, ramp and distance of the ramps ``(m, k, 3)``, 1/s."""
+    area = _area(times)
+    first, ramped, second, last = (np.maximum(since - knot, 0.0) for _, knot in _knots(times))
+    course = 0.5 * (first**2 - ramped**2 - second**2 + last**2) / area
+    rate = (first - ramped - second + last) / area
+    ramp = (ramped - last) / area - course / times[:, 1, None]
+    apart = (second - last) / area - course / times[:, 2, None]
+    return course, np.stack([-rate, ramp, apart], axis=2)
 
 
 def _knots(times: Array) -> list[tuple[float, Array]]:
