@@ -13,7 +13,7 @@ from itertools import combinations, combinations_with_replacement
 import numpy as np
 
 from clampid.evidence.candidates import Candidate
-from clampid.evidence.columns import Columns, Levers, Products, channel_starts, columns_from
+from clampid.evidence.columns import AnyColumns, Columns, Levers, Products, channel_starts, columns_from
 from clampid.evidence.of_size import SIZES
 from clampid.fitting.solve import Estimate
 from clampid.search_policy import JOINT_ANGLE_PERIODIC
@@ -190,11 +190,10 @@ def _at(
     if not np.any(levers.values[:, list(chosen)]):
         return []
     own = [c for c in covariates if np.any(c[2])]
-    columns = levers.columns([Products(levers, tuple(chosen), (x,) * len(chosen)) for _, _, x in own])
-    return [_of(place, c, kept, size) for c, kept in zip(own, columns, strict=True)]
+    return [_of(place, c, Products(levers, tuple(chosen), (c[2],) * len(chosen)).whitened, size) for c in own]
 
 
-def _of(place: str, covariate: Covariate, columns: Columns | Products, size: float | None = None) -> Candidate:
+def _of(place: str, covariate: Covariate, columns: AnyColumns, size: float | None = None) -> Candidate:
     """A probe of a covariate at a place, from its whitened columns; ``size`` as of :func:`_at`."""
     what, variables, x = covariate
     probe = Candidate(f"{what} at {place}", "probe", (), (), {}, columns, variables, (place,))
@@ -220,7 +219,7 @@ def _periodic(rows: Rows, levers: Levers) -> Candidate | None:
         return None
     joints = np.flatnonzero(seen)
     functions = tuple(_harmonics(rows.signals["q"][:, j], PERIODIC) for j in joints)
-    columns = levers.columns([Products(levers, tuple(joints.tolist()), functions)])[0]
+    columns = Products(levers, tuple(joints.tolist()), functions).whitened
     return Candidate(
         name=JOINT_ANGLE_PERIODIC,
         family="probe",

@@ -96,11 +96,6 @@ def _probed(estimate: Estimate, flips: int, seed: int, granted: Sequence[Candida
     free = score(space, probes(estimate))
     null = flip_maxima(space, free, flips, seed + 1)
     free = [s.remembered for s in free]
-    if any(
-        estimate.noise.wander
-    ):  # their columns are no products but tables, needed again of those that stand out only
-        kept = {s.candidate.label for s in standing_out_of(free, null)}
-        free = [s if s.candidate.label in kept else replace(s, candidate=s.candidate.remembered) for s in free]
     return _Probed(space, free, null)
 
 

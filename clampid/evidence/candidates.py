@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from clampid.effect import Effect, Parameter
-from clampid.evidence.columns import Columns, Products, columns_from
+from clampid.evidence.columns import AnyColumns, Columns, columns_from
 from clampid.evidence.of_size import SIZES
 from clampid.fitting.further_columns import Derivatives, whitened_columns
 from clampid.fitting.gauge import independent_geometry
@@ -79,7 +79,7 @@ class Candidate:
     terms: tuple[Term, ...]
     slots: tuple[Slot, ...]
     shapes: Mapping[Slot, float]
-    columns: Columns | Products
+    columns: AnyColumns
     depends_on: tuple[str, ...]
     places: tuple[str, ...]
     prior: Array | None = None

@@ -7,9 +7,9 @@ before it as well, so products are formed first and whitened then.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 from scipy import sparse
@@ -18,7 +18,17 @@ from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["Columns", "Joined", "Levers", "Products", "Sums", "channel_starts", "columns_from"]
+__all__ = [
+    "AnyColumns",
+    "Columns",
+    "Filtered",
+    "Joined",
+    "Levers",
+    "Products",
+    "Sums",
+    "channel_starts",
+    "columns_from",
+]
 
 MOST_JOINED_COLUMNS = 128  # columns that share a matrix product: more saves no time and needs more memory
 
@@ -84,10 +94,12 @@ class Columns:
             out += block.T @ other[start : start + len(block)]
         return out
 
-    def cross(self, other: Columns | Products) -> Array:
+    def cross(self, other: AnyColumns) -> Array:
         """``(k, k')``: D' D'."""
         if isinstance(other, Products):
             return np.asarray(other.cross(self).T)
+        if isinstance(other, Filtered):
+            return self.cross(other.table)
         out = np.zeros((self.width, other.width))
         theirs = dict(other.pieces)
         for start, block in self.pieces:
@@ -136,14 +148,6 @@ class Levers:
         wandering = noise.innovations(rows, plain.entry, plain.channel) if any(noise.wander) else None
         return Levers(plain.jacobian, plain.entry, len(rows), channel_starts(plain), wandering)
 
-    def columns(self, products: Sequence[Products]) -> Sequence[Columns | Products]:
-        """Whitened columns of products of these levers: themselves where each entry is independent."""
-        if self.innovations is None or not products:
-            return products
-        whole = self.innovations(np.hstack([p.dense(len(self.entry)) for p in products]))
-        each = np.split(whole, np.cumsum([p.width for p in products], dtype=int)[:-1], axis=1)
-        return [Columns(tuple((a, block[a:b]) for a, b in self.channels), block.shape[1]) for block in each]
-
     def by_row(self, weights: Array) -> Array:
         """Sums ``(N,)`` of weights ``(M,)`` over the entries of each row."""
         return np.asarray(np.bincount(self.entry, weights, minlength=self.rows), dtype=float)
@@ -181,6 +185,11 @@ class Products:
     functions: tuple[Array, ...]
 
     @property
+    def whitened(self) -> Products | Filtered:
+        """The columns as they are whitened: themselves where each entry is independent."""
+        return self if self.levers.innovations is None else Filtered(self)
+
+    @property
     def width(self) -> int:
         """Number of columns."""
         return sum(F.shape[1] for F in self.functions)
@@ -208,7 +217,7 @@ class Products:
             return np.concatenate([F.T @ sums for F, sums in zip(self.functions, row, strict=True)])
         return np.concatenate([F.T @ self.levers.times(i, other) for i, F, _ in self.placed])
 
-    def cross(self, other: Columns | Products) -> Array:
+    def cross(self, other: AnyColumns) -> Array:
         """``(k, k')``: D' D'."""
         return self.times(other.dense(len(self.levers.entry)))
 
@@ -220,6 +229,57 @@ class Products:
         return out
 
 
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """Whitened columns ``(M, k)`` of readings that wander: products that are filtered each time they are used.
+
+    The tables of all that may be missing would take gigabytes.
+    """
+
+    products: Products
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return self.products.width
+
+    @property
+    def table(self) -> Columns:
+        """The columns, filtered."""
+        return _filtered([self])[0]
+
+    def gram(self) -> Array:
+        """``(k, k)``: D'D."""
+        return self.table.gram()
+
+    def times(self, other: Array) -> Array:
+        """``(k, …)``: D' other, for other ``(M, …)``."""
+        return self.table.times(other)
+
+    def cross(self, other: AnyColumns) -> Array:
+        """``(k, k')``: D' D'."""
+        return self.table.cross(other)
+
+    def dense(self, entries: int) -> Array:
+        """``(entries, k)``."""
+        return self.table.dense(entries)
+
+
+AnyColumns = Columns | Products | Filtered
+
+
+def _filtered(members: Sequence[Filtered]) -> list[Columns]:
+    """The tables of several, each of those of one place filtered together."""
+    out = list[Columns]()
+    for levers, run in groupby((m.products for m in members), key=lambda p: p.levers):
+        own = list(run)
+        whole = np.hstack([p.dense(len(levers.entry)) for p in own])
+        whole = whole if levers.innovations is None else levers.innovations(whole)
+        each = np.split(whole, np.cumsum([p.width for p in own], dtype=int)[:-1], axis=1)
+        out += [Columns(tuple((a, block[a:b]) for a, b in levers.channels), block.shape[1]) for block in each]
+    return out
+
+
 @dataclass(frozen=True)
 class Joined:
     """The columns of many candidates side by side, K in all, so that each matrix product serves many of them.
@@ -227,7 +287,13 @@ class Joined:
     A table of hundreds of megabytes is then read once, not once for each candidate.
     """
 
-    members: Sequence[Columns | Products]
+    members: Sequence[AnyColumns]
+
+    @property
+    def held(self) -> list[Columns | Products]:
+        """The members with tables instead of what is filtered each time it is used."""
+        tables = iter(_filtered([m for m in self.members if isinstance(m, Filtered)]))
+        return [next(tables) if isinstance(m, Filtered) else m for m in self.members]
 
     def times(self, other: Array) -> Array:
         """``(K, r)``: D' other, from the first M entries of ``other`` ``(…, r)``."""
@@ -249,12 +315,16 @@ class Joined:
         """Each candidate's part of an array ``(K, …)``."""
         return np.split(whole, np.cumsum([m.width for m in self.members], dtype=int))[:-1]
 
-    def batches(self, whole: Array, width: int) -> list[tuple[Joined, Array]]:
-        """Groups of consecutive candidates with about ``width`` columns in all, each with its part of ``(K, …)``."""
-        which = np.cumsum([0, *(m.width for m in self.members[:-1])]) // width
-        edges = [0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), len(self.members)]
-        own = self.own(whole)
-        return [(Joined(self.members[a:b]), np.concatenate(own[a:b])) for a, b in pairwise(edges)]
+    def batches(self, other: Array, width: int) -> Iterator[tuple[Joined, Array]]:
+        """Groups of consecutive candidates with about ``width`` columns in all, held, each with its D' other."""
+        for late, run in groupby(self.members, key=lambda m: isinstance(m, Filtered)):
+            alike = Joined(list(run))
+            which = np.cumsum([0, *(m.width for m in alike.members[:-1])]) // width
+            edges = [0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), len(alike.members)]
+            products = None if late else alike.own(alike.times(other))
+            for a, b in pairwise(edges):
+                some = Joined(Joined(alike.members[a:b]).held)
+                yield some, some.times(other) if products is None else np.concatenate(products[a:b])
 
     def _all(
         self,
@@ -266,7 +336,7 @@ class Joined:
         blocks: dict[tuple[int, int], list[tuple[slice, Array]]] = {}
         places: dict[tuple[Levers, int], list[tuple[slice, Array]]] = {}
         first = 0
-        for member in self.members:
+        for member in self.held:
             if isinstance(member, Products):
                 for place, F, mine in member.placed:
                     lines = slice(first + mine.start, first + mine.stop)

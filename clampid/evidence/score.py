@@ -25,7 +25,7 @@ from scipy import linalg
 from scipy.special import gammainc, gammaincc, gammaln
 
 from clampid.evidence.candidates import Candidate
-from clampid.evidence.columns import Joined
+from clampid.evidence.columns import AnyColumns, Joined
 from clampid.evidence.of_size import of_any_size, of_size
 from clampid.evidence.space import ABSORBED, Space
 from clampid.stages.rows import Array, Bools
@@ -209,28 +209,27 @@ def log_tail(x: Array | float, freedom: float) -> Array:
 
 def score(space: Space, candidates: Sequence[Candidate]) -> list[Scored]:
     """Score every candidate, in the given order; those without any effect on these rows have the state ``absent``."""
-    if not candidates:
-        return []
-    joined = Joined([c.columns for c in candidates])
     out = list[Scored]()
-    for some, lines in joined.batches(joined.times(space.basis), COLUMNS_AT_ONCE):
+    for some, lines in Joined([c.columns for c in candidates]).batches(space.basis, COLUMNS_AT_ONCE):
         by_unit = some.summed(space.by_unit) - lines @ space.basis_by_unit.T
-        own = zip(candidates[len(out) :], some.own(lines), some.own(by_unit), strict=False)
+        own = zip(candidates[len(out) :], some.members, some.own(lines), some.own(by_unit), strict=False)
         out += [_score_one(space, *one) for one in own]
     return out
 
 
-def _score_one(space: Space, c: Candidate, lines: Array, by_unit: Array) -> Scored:
+def _score_one(space: Space, c: Candidate, columns: AnyColumns, lines: Array, by_unit: Array) -> Scored:
     """Score one candidate.
 
     Parameters
     ----------
+    columns
+        Its columns, as tables if they are filtered.
     lines, by_unit
         Products of its columns with the basis ``(k, r)``, and each unit's share in their products with the residual
         ``(k, U)``.
     """
-    k = c.columns.width
-    gram = c.columns.gram()
+    k = columns.width
+    gram = columns.gram()
     length = np.sqrt(np.diag(gram))
     absorbed = lines.T.copy()  # a view would keep those of all candidates
     Z2 = gram - absorbed.T @ absorbed
@@ -260,7 +259,7 @@ def _score_one(space: Space, c: Candidate, lines: Array, by_unit: Array) -> Scor
         return nothing(retained, "absorbed")
     values = values[keep]
     weights = inverse[:, None] * vectors[:, keep] / np.sqrt(values)
-    amplitude = c.columns.times(space.residual) @ weights  # the residual is orthogonal to the basis
+    amplitude = columns.times(space.residual) @ weights  # the residual is orthogonal to the basis
     parts = by_unit.T @ weights
     # A candidate's columns are zero in the pseudo-rows: only their projection counts there.
     parts[space.drawn] = -(space.pseudo_std[:, None] * space.basis[space.rows :]) @ absorbed @ weights
