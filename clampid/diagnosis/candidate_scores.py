@@ -102,10 +102,19 @@ class CandidateScores:
         return sorted(found, key=lambda s: -s.bic)[:MOST_RIVALS]
 
     @property
-    def clearest(self) -> list[Scored]:
-        """The best significant name and the best significant probe, as far as there are any."""
+    def clearest(self) -> list[list[Scored]]:
+        """What explains most: the best significant name, and the best significant probes of all readings.
+
+        A probe of one motor's torque explains no other motor's, so of each motor the best one counts.
+        """
         named, probe = self.best(), self.probe if self.fires else None
-        return [s for s in (named, probe) if s is not None]
+        probes = [] if probe is None else [probe]
+        explained = {channel for s in probes for channel in s.candidate.columns.channels}
+        for s in sorted(standing_out_of(self.free, self.free_null), key=lambda s: -s.bic):
+            if explained.isdisjoint(s.candidate.columns.channels):
+                probes.append(s)
+                explained.update(s.candidate.columns.channels)
+        return [found for found in ([] if named is None else [named], probes) if found]
 
     def seen_by(self, probe: Scored) -> CandidateScores:
         """The same with another probe as the one whose variables a verdict names."""

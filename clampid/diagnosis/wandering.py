@@ -4,9 +4,11 @@ Signs are flipped visit by visit, or block by block of a log. If the zero of a r
 independent, and every slow variable becomes falsely significant: an offset, a temperature, the time. But a missing
 effect may be slow too. So readings count as wandering in two cases:
 
-* in addition to the best significant name and probe. If these explain all slow changes, none are left.
-* if one parameter, the size of the walk, is likelier than the best of both with all its parameters. Evidence is twice
-  the log-likelihood, less the logarithm of the count for each parameter (Schwarz, Ann. Stat. 6, 1978).
+* in addition to the best significant name and probe (in logs, the best probe of each motor: a motor's probe explains no
+  other motor's torque). If these explain all slow changes, none are left.
+* if one parameter, the size of the walk, is likelier than the best name with all its parameters, and than the probes
+  with theirs. Evidence is twice the log-likelihood, less the logarithm of the count for each parameter (Schwarz, Ann.
+  Stat. 6, 1978).
 
 In neither case if a smooth function of time is likelier still, such as an instrument's drift with the time of day. That
 is a systematic error, which may be found as a missing effect.
@@ -39,7 +41,7 @@ MOST_PARAMETERS = 300
 LARGEST_SHARE_OF_COLUMNS = 0.2  # of the numbers of a channel, that may be columns beside which it wanders
 
 
-def with_wander(estimate: Estimate, beside: Sequence[Scored], least: float = 0.0) -> Estimate | None:
+def with_wander(estimate: Estimate, beside: Sequence[Sequence[Scored]], least: float = 0.0) -> Estimate | None:
     """The same estimate with wandering noise, or None where wandering is not significant.
 
     The coordinates of a point wander alike, and so do the readings of a log's motors, each in units of its noise.
@@ -47,7 +49,8 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored], least: float = 0.0
     Parameters
     ----------
     beside
-        Significant candidates that may explain all slow changes, the most significant first.
+        Significant candidates that may explain all slow changes, the most significant first, in groups whose members
+        explain different readings.
     least
         Known lower limit of the wandering: variance per step over that of a number. If it is known, the level is one
         for the whole log; before, what changes at a stop of the motor may be a missing effect.
@@ -86,7 +89,7 @@ def whitened_by(estimate: Estimate, noise: Noise) -> Estimate:
     return replace(estimate, noise=noise, whitened=noise.whiten(estimate.problem.rows, residual, jacobian))
 
 
-def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Scored], one_level: bool) -> float:
+def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Sequence[Scored]], one_level: bool) -> float:
     """By how much some channels, entries of each given, are seen to wander beside what stands out; 0 if not."""
     rows, white = estimate.problem.rows, estimate.whitened
     shown = {c: estimate.noise.shown_level(rows, c) if one_level else None for c in mine}
@@ -103,14 +106,14 @@ def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Scored
         return 0.0
     room, count = int(LARGEST_SHARE_OF_COLUMNS * max(map(len, residuals))), len(white.residual)
     extra = [np.zeros((count, 0))]
-    for s in beside:
+    for s in (s for group in beside for s in group):
         if s.candidate.columns.width <= room:
             extra.append(s.candidate.columns.dense(count))
             room -= s.candidate.columns.width
     evidence = found.gain - float(np.log(sum(map(len, residuals))))
     if evidence < _evidence(white, active, mine, _smooth(rows, white, mine)):
         return 0.0
-    if evidence < max((s.bic for s in beside), default=0.0):
+    if evidence < max((sum(s.bic for s in group) for group in beside), default=0.0):
         columns = [np.hstack([a, *(e[own] for e in extra)]) for a, own in zip(active, mine.values(), strict=True)]
         found = wander_of(courses, residuals, columns)
     return found.variance

@@ -80,6 +80,11 @@ class Columns:
     pieces: tuple[tuple[int, Array], ...]
     width: int
 
+    @property
+    def channels(self) -> frozenset[int]:
+        """First entries of the channels in which they are not zero."""
+        return frozenset(start for start, _ in self.pieces)
+
     def gram(self) -> Array:
         """``(k, k)``: D'D."""
         out = np.zeros((self.width, self.width))
@@ -185,6 +190,11 @@ class Products:
     functions: tuple[Array, ...]
 
     @property
+    def channels(self) -> frozenset[int]:
+        """First entries of the channels in which they may not be zero."""
+        return frozenset(start for start, _ in self.levers.channels)
+
+    @property
     def whitened(self) -> Products | Filtered:
         """The columns as they are whitened: themselves where each entry is independent."""
         return self if self.levers.innovations is None else Filtered(self)
@@ -242,6 +252,11 @@ class Filtered:
     def width(self) -> int:
         """Number of columns."""
         return self.products.width
+
+    @property
+    def channels(self) -> frozenset[int]:
+        """First entries of the channels in which they may not be zero."""
+        return self.products.channels
 
     @property
     def table(self) -> Columns:
