@@ -25,8 +25,9 @@ from scipy import stats
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns, channel_starts
-from clampid.evidence.score import Scored, log_tail, score
+from clampid.evidence.score import Scored, score
 from clampid.evidence.space import ABSORBED, Space, space_of
+from clampid.evidence.tails import log_tail
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term
 from clampid.stages.clamped_rows import BLOCK_ROWS
@@ -115,7 +116,7 @@ def event_scores(estimate: Estimate, space: Space, effects: Mapping[str, Effect]
         if s.freedom:
             chosen = 2.0 * float(np.log(len(scan.time)))
             log_p = scan.log_p(s.freedom, len(estimate.whitened.residual))
-            s = s.of_many(log_p, chosen)
+            s = replace(s.of_many(log_p, chosen), rest_freedom=np.inf)
         found.append(s)
     return found
 

@@ -22,12 +22,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
-from scipy.special import gammainc, gammaincc, gammaln
 
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import AnyColumns, Joined
 from clampid.evidence.of_size import of_any_size, of_size
 from clampid.evidence.space import ABSORBED, Space
+from clampid.evidence.studentised import MOST_DIRECTIONS, MOST_UNITS, Studentised, studentised
+from clampid.evidence.tails import log_tail
 from clampid.stages.rows import Array, Bools
 
 __all__ = [
@@ -38,7 +39,6 @@ __all__ = [
     "explained_together",
     "flip_maxima",
     "flip_moments",
-    "log_tail",
     "score",
     "tail_of",
 ]
@@ -53,7 +53,6 @@ NEGLIGIBLE_EFFECT = 1e-6
 The weight of an upright arm turns no joint with a vertical axis: its torque comes out as 1e-16 Nm.
 """
 COLUMNS_AT_ONCE = 512  # columns of candidates that are scored together: more saves no time and needs more memory
-SMALLEST_TAIL = 1e-290  # a smaller tail than this may have underflowed
 
 
 @dataclass(frozen=True)
@@ -95,6 +94,10 @@ class Scored:
         Share of ``explained`` that comes from the pull of the fit on its prior, not from the rows.
     unit_limit
         ``(k,)``: standard error of each parameter if fitted alone, noise shared within units included; parameter units.
+    rest_freedom
+        Degrees of freedom of what the statistic divides by; infinite if that is known.
+    studentised
+        The statistic of which ``log_p`` is the tail, if units are few; else None, and it is that of ``explained``.
     """
 
     candidate: Candidate
@@ -111,11 +114,13 @@ class Scored:
     state: str
     assumed: float
     unit_limit: Array
+    rest_freedom: float = np.inf
+    studentised: Studentised | None = None
 
     @property
     def remembered(self) -> Scored:
-        """The same without ``parts``, which are not needed after the null has been drawn."""
-        return replace(self, parts=self.parts[:0].copy())
+        """The same without ``parts`` and ``studentised``, which are not needed after the null has been drawn."""
+        return replace(self, parts=self.parts[:0].copy(), studentised=None)
 
     def of_many(self, log_p: float, cost: float) -> Scored:
         """The best of many tried: with the p-value that allows for all of them, and the cost of having chosen."""
@@ -194,19 +199,6 @@ def tail_of(moments: tuple[float, float], explained: Array | float) -> Array:
     return log_tail(np.asarray(explained) * (2.0 * mean / variance), 2.0 * mean**2 / variance)
 
 
-def log_tail(x: Array | float, freedom: float) -> Array:
-    """Natural logarithm of the upper chi-square tail probability of ``x``, also where that underflows."""
-    value = np.asarray(x, dtype=float)
-    a, half = freedom / 2.0, np.maximum(value, 1e-300) / 2.0  # zero has no logarithm
-    tail = gammaincc(a, half)
-    tiny = tail < SMALLEST_TAIL
-    tail_or_one = np.where(tiny, 1.0, tail)
-    near = np.where(half < a, np.log1p(-gammainc(a, np.minimum(half, a))), np.log(tail_or_one))
-    # Leading term of its expansion, summed as a geometric series; where the tail is tiny, half is well above a.
-    far = a * np.log(half) - half - float(gammaln(a)) - np.log(np.where(tiny, half - a + 1.0, 1.0))
-    return np.asarray(np.where(tiny, far, near))
-
-
 def score(space: Space, candidates: Sequence[Candidate]) -> list[Scored]:
     """Score every candidate, in the given order; those without any effect on these rows have the state ``absent``."""
     out = list[Scored]()
@@ -274,6 +266,13 @@ def _score_one(space: Space, c: Candidate, columns: AnyColumns, lines: Array, by
         cost = min(cost, _charge(reach, amplitude, space))
     explained = float(kept @ amplitude**2) / space.scale**2
     moments = flip_moments(parts, kept, space.scale, space.drawn)
+    by_rest = None
+    if space.by_unit.groups <= MOST_UNITS and len(kept) <= MOST_DIRECTIONS:
+        directions = (columns.dense(len(space.residual)) - space.basis @ absorbed) @ weights
+        by_rest = studentised(space, directions, parts, kept)
+        log_p = float(by_rest.log_p(amplitude, np.ones(len(parts))))
+    else:
+        log_p = float(tail_of(moments, explained))
     return Scored(
         candidate=c.of_size(size),
         absorbed=absorbed,
@@ -283,7 +282,7 @@ def _score_one(space: Space, c: Candidate, columns: AnyColumns, lines: Array, by
         kept=kept,
         cost=cost,
         explained=explained,
-        log_p=min(float(tail_of(moments, explained)) + float(np.log(len(c.sizes))), 0.0),  # Bonferroni over the sizes
+        log_p=min(log_p + float(np.log(len(c.sizes))), 0.0),  # Bonferroni over the sizes
         bic=explained - cost,
         retained=retained,
         state="weak" if retained < WEAK_BELOW else "testable",
@@ -291,6 +290,8 @@ def _score_one(space: Space, c: Candidate, columns: AnyColumns, lines: Array, by
             np.sum((parts[space.drawn] @ (kept * amplitude)) ** 2) / max(np.sum((kept * amplitude) ** 2), 1e-300)
         ),
         unit_limit=unit_limit * np.sqrt(max(moments[0] / float(kept.sum()), 1.0)),
+        rest_freedom=np.inf if by_rest is None else by_rest.freedom[1],
+        studentised=by_rest,
     )
 
 
@@ -386,5 +387,9 @@ def flip_maxima(space: Space, scored: Sequence[Scored], flips: int, seed: int) -
     kept, starts = np.concatenate([s.kept for s in chosen]), np.cumsum([0, *(s.freedom for s in chosen[:-1])])
     explained = np.add.reduceat(amplitude**2 * kept, starts, axis=1) / space.scale**2
     moments = [flip_moments(s.parts, s.kept, space.scale, space.drawn) for s in chosen]
-    tails = [tail_of(m, x) for m, x in zip(moments, explained.T, strict=True)]
+    ends = np.r_[starts, amplitude.shape[1]]
+    tails = [
+        tail_of(m, x) if s.studentised is None else s.studentised.log_p(amplitude[:, a:b], signs)
+        for s, m, x, a, b in zip(chosen, moments, explained.T, ends, ends[1:], strict=False)
+    ]
     return Flips(-np.min(tails, axis=0))

@@ -94,6 +94,13 @@ class Space:
         return np.asarray(self.by_unit.over(0, len(self.basis)) @ self.basis)
 
     @cached_property
+    def entries_of_units(self) -> list[Integers]:
+        """The entries of each of U units, pseudo-rows included."""
+        _, unit = np.unique(self.unit, return_inverse=True)
+        order = np.argsort(unit, kind="stable").astype(np.int64)
+        return np.split(order, np.flatnonzero(np.diff(unit[order])) + 1)
+
+    @cached_property
     def drawn(self) -> Bools:
         """``(U,)``: which units are pseudo-rows of the prior; each is a unit of its own, after the units of rows."""
         return np.arange(self.by_unit.groups) >= self.by_unit.groups - (len(self.residual) - self.rows)

@@ -19,11 +19,11 @@ from clampid.evidence.score import (
     explained_together,
     flip_maxima,
     flip_moments,
-    log_tail,
     score,
     tail_of,
 )
 from clampid.evidence.space import Space, unshrunk
+from clampid.evidence.tails import log_tail
 from clampid.slots import Slot
 
 
