@@ -88,6 +88,6 @@ def studentised(space: Space, directions: Array, parts: Array, kept: Array) -> S
     flipped = ~space.drawn
     square = np.einsum("u,ukl,ukm->lm", left[flipped], share[flipped], weighted[flipped])
     first = float(kept.sum()) ** 2 / max(float(np.sum(kept**2)), 1e-300)
-    spread = float(np.einsum("ukl,ulk->", weighted, weighted))
+    spread = float(np.einsum("ukl,ulk->", weighted[flipped], weighted[flipped]))  # of what is not known
     second = max(float(trace.sum()) ** 2 / max(spread, 1e-300) - first, LEAST_FREEDOM)
     return Studentised(kept, float(left @ np.sum(kept * parts**2, axis=1)), crossed, square, (first, second))
