@@ -68,7 +68,7 @@ def diagnose_stage(fitted: FittedStage, bench: Bench, propose: Propose | None = 
         del outcome  # as large as its rows
         judged_by, outcome = _searched(fitted, replace(bench, block=drift.block))
     result = _verdict(fitted, judged_by, outcome, propose)
-    if drift is not None and result.verdict == "unknown" and not result.depends_on and drift.clocked:
+    if drift is not None and drift.clocked and result.verdict == "unknown" and set(result.depends_on) <= {"time"}:
         result.depends_on = list(dict.fromkeys(["time", *as_slow]))
         result.summary = " ".join([summary_of(result), *result.warnings])
     if drift is not None:
