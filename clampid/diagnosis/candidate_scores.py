@@ -11,7 +11,8 @@ from scipy import stats
 from clampid.diagnosis.next_measurement import SAME
 from clampid.effect import EffectError
 from clampid.evidence.candidates import Candidate
-from clampid.evidence.score import Flips, Scored, canonical, explained_together
+from clampid.evidence.flips import Flips
+from clampid.evidence.score import Scored, canonical, explained_together
 from clampid.evidence.space import Space
 from clampid.stages.rows import Integers
 

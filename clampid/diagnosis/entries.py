@@ -10,7 +10,8 @@ import numpy as np
 from clampid.diagnosis.candidate_scores import ALIASED, CONFUSABLE, DICTIONARY_FALSE_ALARMS, CandidateScores
 from clampid.effect import WEAK_SPREAD, Effect
 from clampid.evidence.candidates import label_of
-from clampid.evidence.score import Flips, Scored, canonical
+from clampid.evidence.flips import Flips
+from clampid.evidence.score import Scored, canonical
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term, beyond_limit, excludes_zero, fixed_slots, unit_of
 from clampid.stages.rows import Array, Bools

@@ -24,9 +24,10 @@ from clampid.diagnosis.wandering import whitened_by, with_wander
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.events import event_scores
+from clampid.evidence.flips import Flips, with_null
 from clampid.evidence.orders import order_scores
 from clampid.evidence.scan import scan
-from clampid.evidence.score import Flips, Scored, flip_maxima, score
+from clampid.evidence.score import Scored, score
 from clampid.evidence.space import Space, space_of
 from clampid.fitting.further_columns import Derivatives
 from clampid.fitting.solve import Estimate
@@ -93,9 +94,7 @@ class _Probed(NamedTuple):
 
 def _probed(estimate: Estimate, flips: int, seed: int, granted: Sequence[Candidate], block: int) -> _Probed:
     space = space_of(estimate, blocks_of_visits(estimate.problem.rows, block)).granting(columns_of(estimate, granted))
-    free = score(space, probes(estimate))
-    null = flip_maxima(space, free, flips, seed + 1)
-    free = [s.remembered for s in free]
+    free, null = with_null(space, score(space, probes(estimate)), flips, seed + 1)
     return _Probed(space, free, null)
 
 
@@ -156,8 +155,8 @@ def _scores_of(
     fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= DICTIONARY_FALSE_ALARMS}
     named = score(space, named_candidates(estimate, effects, fired, known))
     events = event_scores(estimate, space, effects) + order_scores(estimate, space, effects)
-    named_null = flip_maxima(space, named, flips, seed).joined(len(events), seed)
-    named = [s.remembered for s in named] + events
+    named, named_null = with_null(space, named, flips, seed)
+    named, named_null = named + events, named_null.joined(len(events), seed)
     local = scan(estimate, space, effects, flips, seed)
     named, named_null = named + local, named_null.joined(1, seed + 2) if local else named_null
     robot = estimate.problem.rows.robot

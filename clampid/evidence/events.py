@@ -116,7 +116,7 @@ def event_scores(estimate: Estimate, space: Space, effects: Mapping[str, Effect]
         if s.freedom:
             chosen = 2.0 * float(np.log(len(scan.time)))
             log_p = scan.log_p(s.freedom, len(estimate.whitened.residual))
-            s = replace(s.of_many(log_p, chosen), rest_freedom=np.inf)
+            s = s.of_many(log_p, chosen)
         found.append(s)
     return found
 

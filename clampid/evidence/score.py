@@ -17,7 +17,7 @@ With Z = (1 - QQ')D only products such as Z'Z = D'D - (Q'D)'(Q'D) are formed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,12 +32,10 @@ from clampid.evidence.tails import log_tail
 from clampid.stages.rows import Array, Bools
 
 __all__ = [
-    "Flips",
     "Scored",
     "canonical",
     "explained_by",
     "explained_together",
-    "flip_maxima",
     "flip_moments",
     "score",
     "tail_of",
@@ -94,10 +92,8 @@ class Scored:
         Share of ``explained`` that comes from the pull of the fit on its prior, not from the rows.
     unit_limit
         ``(k,)``: standard error of each parameter if fitted alone, noise shared within units included; parameter units.
-    rest_freedom
-        Degrees of freedom of what the statistic divides by; infinite if that is known.
     studentised
-        The statistic of which ``log_p`` is the tail, if units are few; else None, and it is that of ``explained``.
+        The other statistic, if units are few (:mod:`clampid.evidence.studentised`); else None.
     """
 
     candidate: Candidate
@@ -114,8 +110,14 @@ class Scored:
     state: str
     assumed: float
     unit_limit: Array
-    rest_freedom: float = np.inf
     studentised: Studentised | None = None
+
+    def by_either(self, scale: Callable[[Array], Array]) -> Scored:
+        """The same with the p-value of the other statistic, if that is the smaller one on the scale of the first."""
+        if self.studentised is None or not self.freedom:
+            return self
+        other = -float(scale(-self.studentised.log_p(self.amplitude, np.ones(len(self.parts)))))
+        return replace(self, log_p=min(self.log_p, other + self.studentised.log_tried))
 
     @property
     def remembered(self) -> Scored:
@@ -269,10 +271,7 @@ def _score_one(space: Space, c: Candidate, columns: AnyColumns, lines: Array, by
     by_rest = None
     if space.by_unit.groups <= MOST_UNITS and len(kept) <= MOST_DIRECTIONS:
         directions = (columns.dense(len(space.residual)) - space.basis @ absorbed) @ weights
-        by_rest = studentised(space, directions, parts, kept)
-        log_p = float(by_rest.log_p(amplitude, np.ones(len(parts))))
-    else:
-        log_p = float(tail_of(moments, explained))
+        by_rest = studentised(space, directions, parts, kept, len(c.sizes))
     return Scored(
         candidate=c.of_size(size),
         absorbed=absorbed,
@@ -282,7 +281,7 @@ def _score_one(space: Space, c: Candidate, columns: AnyColumns, lines: Array, by
         kept=kept,
         cost=cost,
         explained=explained,
-        log_p=min(log_p + float(np.log(len(c.sizes))), 0.0),  # Bonferroni over the sizes
+        log_p=min(float(tail_of(moments, explained)) + float(np.log(len(c.sizes))), 0.0),  # Bonferroni over the sizes
         bic=explained - cost,
         retained=retained,
         state="weak" if retained < WEAK_BELOW else "testable",
@@ -290,7 +289,6 @@ def _score_one(space: Space, c: Candidate, columns: AnyColumns, lines: Array, by
             np.sum((parts[space.drawn] @ (kept * amplitude)) ** 2) / max(np.sum((kept * amplitude) ** 2), 1e-300)
         ),
         unit_limit=unit_limit * np.sqrt(max(moments[0] / float(kept.sum()), 1.0)),
-        rest_freedom=np.inf if by_rest is None else by_rest.freedom[1],
         studentised=by_rest,
     )
 
@@ -337,59 +335,3 @@ def explained_together(space: Space, a: Scored, b: Scored) -> float:
     amplitude = np.r_[a.amplitude, b.amplitude]
     gram = np.block([[np.diag(1.0 / a.kept), cross], [cross.T, np.diag(1.0 / b.kept)]])
     return float(amplitude @ np.linalg.pinv(gram, rcond=1e-6, hermitian=True) @ amplitude) / space.scale**2
-
-
-@dataclass(frozen=True)
-class Flips:
-    """The null distribution of the smallest p-value: maxima ``(flips,)`` of -ln p over all candidates."""
-
-    maxima: Array
-
-    def p_familywise(self, log_p: float) -> float:
-        """Familywise p-value: chance of so small a p-value of any candidate under the null; at least 1/(flips + 1)."""
-        return float((1 + np.sum(self.maxima >= -log_p)) / (len(self.maxima) + 1))
-
-    def critical_log_p(self, rate: float) -> float:
-        """The ln p below which a candidate is significant at this familywise false-alarm rate."""
-        return -float(np.quantile(self.maxima, 1 - rate))
-
-    def log_p_at(self, p: float) -> float:
-        """The largest ln p of a candidate that has this familywise p-value, or a smaller one."""
-        beyond = int(np.floor(p * (len(self.maxima) + 1) + 1e-9)) - 1  # how many maxima may be as large
-        rest = np.sort(self.maxima)[::-1][max(beyond, 0) :]
-        return -float(np.nextafter(rest[0], np.inf)) if len(rest) else 0.0
-
-    def joined(self, tests: int, seed: int) -> Flips:
-        """The same with further tests that have p-values of their own: under the null, -ln p is exponential."""
-        drawn = np.random.default_rng([seed, tests]).exponential(size=(len(self.maxima), tests))
-        return Flips(np.maximum(self.maxima, drawn.max(axis=1, initial=0.0)))
-
-
-def flip_maxima(space: Space, scored: Sequence[Scored], flips: int, seed: int) -> Flips:
-    """The null distribution over scored candidates, by sign flips of units and normal draws of prior pseudo-rows.
-
-    Parameters
-    ----------
-    space
-        The residual on which the candidates were scored.
-    scored
-        The candidates, with their ``parts``.
-    flips, seed
-        Number of random flips, and their seed.
-    """
-    chosen = [s for s in scored if s.freedom]
-    if not chosen:
-        return Flips(np.zeros(flips))
-    rng = np.random.default_rng(seed)
-    signs = rng.choice([-1.0, 1.0], size=(flips, len(chosen[0].parts)))
-    signs[:, space.drawn] = rng.normal(size=(flips, int(space.drawn.sum())))
-    amplitude = signs @ np.hstack([s.parts for s in chosen])
-    kept, starts = np.concatenate([s.kept for s in chosen]), np.cumsum([0, *(s.freedom for s in chosen[:-1])])
-    explained = np.add.reduceat(amplitude**2 * kept, starts, axis=1) / space.scale**2
-    moments = [flip_moments(s.parts, s.kept, space.scale, space.drawn) for s in chosen]
-    ends = np.r_[starts, amplitude.shape[1]]
-    tails = [
-        tail_of(m, x) if s.studentised is None else s.studentised.log_p(amplitude[:, a:b], signs)
-        for s, m, x, a, b in zip(chosen, moments, explained.T, ends, ends[1:], strict=False)
-    ]
-    return Flips(-np.min(tails, axis=0))

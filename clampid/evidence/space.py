@@ -105,6 +105,13 @@ class Space:
         """``(U,)``: which units are pseudo-rows of the prior; each is a unit of its own, after the units of rows."""
         return np.arange(self.by_unit.groups) >= self.by_unit.groups - (len(self.residual) - self.rows)
 
+    def signs(self, count: int, seed: int) -> Array:
+        """Random factors ``(count, U)`` of the units: signs, and normal numbers for pseudo-rows of the prior."""
+        rng = np.random.default_rng(seed)
+        out = rng.choice([-1.0, 1.0], size=(count, self.by_unit.groups))
+        out[:, self.drawn] = rng.normal(size=(count, int(self.drawn.sum())))
+        return np.asarray(out)
+
 
 def unshrunk(residual: Array, basis: Array, unit: Integers) -> Array:
     """The residual ``(M,)`` of each unit, corrected for the share of its noise that a fit with that basis absorbed."""

@@ -5,10 +5,11 @@ effect is part of that variance: if it shows in six units, one of 32 patterns of
 small. In the residual of the fit with the candidate its own share is left out.
 
 The components a of the residual along f orthonormal directions are sums over units of parts p_u. H_u is each unit's
-share of the directions' squares (their sum is one), h_u its mean over the directions. The fit with the candidate leaves
-e_u = (p_u - H_u a) / (1 - h_u)^1/2; the root makes up for the noise of a unit that the candidate absorbs. The statistic
-is a'Ka / sum_u e_u'K e_u with K = diag(kept). Its p-value is that of an F distribution, with the degrees of freedom of
-white noise. Flips of signs calibrate it as they calibrate the other statistic.
+share of the directions' squares (their sum is one). The fit with the candidate leaves e_u = p_u - H_u a, and with
+K = diag(kept) the statistic is a'Ka / sum_u e_u'K^1/2 (1 - H_u)^-1 K^1/2 e_u: the inverse makes up for the noise of a
+unit that the candidate absorbs. Its p-value is that of an F distribution, with the degrees of freedom of white noise.
+Flips of signs calibrate it. It is the better one where an effect shows in few units, and the worse one where few units
+hold most of the noise; so the more significant of both counts (:mod:`clampid.evidence.flips`).
 
 Sources: Cameron, Gelbach and Miller, Bootstrap-based improvements for inference with clustered errors, Rev. Econ. Stat.
 90, 2008 (studentised statistics where clusters are few); Bell and McCaffrey, Survey Methodology 28, 2002 (CR2);
@@ -30,7 +31,7 @@ __all__ = ["MOST_DIRECTIONS", "MOST_UNITS", "Studentised", "studentised"]
 MOST_UNITS = 250  # with more, both statistics are as powerful, and this one needs more time
 MOST_DIRECTIONS = 32  # of a candidate: with more, units determine no variance
 LEAST_FREEDOM = 0.5
-LEAST_LEFT = 1e-3  # of a unit's noise, that the candidate leaves: less is rounding error and is not corrected
+LEAST_LEFT = 1e-3  # of a unit's noise, that the candidate leaves: less is rounding error, and is not enlarged further
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ class Studentised:
         ``(f, f)``: its square in the components.
     freedom
         Degrees of freedom of numerator and denominator.
+    log_tried
+        Logarithm of how many sizes of its prior were tried: added to the logarithm of its p-value.
     """
 
     kept: Array
@@ -56,6 +59,7 @@ class Studentised:
     crossed: Array
     square: Array
     freedom: tuple[float, float]
+    log_tried: float = 0.0
 
     def log_p(self, amplitude: Array, signs: Array) -> Array:
         """Natural logarithm of the p-value of components ``(…, f)``, where the units have factors ``(…, U)``."""
@@ -66,7 +70,7 @@ class Studentised:
         return log_tail_of_f(explained / np.maximum(left, 1e-12 * self.own + 1e-300), first, second)
 
 
-def studentised(space: Space, directions: Array, parts: Array, kept: Array) -> Studentised:
+def studentised(space: Space, directions: Array, parts: Array, kept: Array, tried: int = 1) -> Studentised:
     """The statistic of a candidate.
 
     Parameters
@@ -77,17 +81,20 @@ def studentised(space: Space, directions: Array, parts: Array, kept: Array) -> S
         Its orthonormal directions ``(M + p, f)``, pseudo-rows of the prior included.
     parts, kept
         As :class:`clampid.evidence.score.Scored` has them.
+    tried
+        Sizes of its prior that were tried.
     """
     share = np.array([directions[k].T @ directions[k] for k in space.entries_of_units])
-    weighted = np.einsum("k,ukl->ukl", kept, share)
-    trace = np.einsum("ukk->u", weighted)
-    left = 1.0 / np.maximum(1.0 - trace / max(float(kept.sum()), 1e-300), LEAST_LEFT)
-    left[space.drawn] = 1.0  # their variance is known
-    crossed = left[:, None] * np.einsum("ukl,uk->ul", weighted, parts)
+    flipped, root = ~space.drawn, np.sqrt(kept)
+    weight = np.tile(np.diag(kept), (len(share), 1, 1))  # in pseudo-rows: their variance is known
+    absorbed = np.eye(len(kept)) - (1.0 - LEAST_LEFT) * share[flipped]
+    weight[flipped] = np.linalg.inv(absorbed) * np.outer(root, root)
+    crossed = np.einsum("ukl,ulm,um->uk", share, weight, parts)
     crossed[space.drawn] = 0.0
-    flipped = ~space.drawn
-    square = np.einsum("u,ukl,ukm->lm", left[flipped], share[flipped], weighted[flipped])
+    square = np.einsum("ukl,ulm,umn->kn", share[flipped], weight[flipped], share[flipped])
+    own = float(np.einsum("uk,ukl,ul->", parts, weight, parts))
+    weighted = share * kept
     first = float(kept.sum()) ** 2 / max(float(np.sum(kept**2)), 1e-300)
     spread = float(np.einsum("ukl,ulk->", weighted[flipped], weighted[flipped]))  # of what is not known
-    second = max(float(trace.sum()) ** 2 / max(spread, 1e-300) - first, LEAST_FREEDOM)
-    return Studentised(kept, float(left @ np.sum(kept * parts**2, axis=1)), crossed, square, (first, second))
+    second = max(float(np.einsum("ukk->", weighted)) ** 2 / max(spread, 1e-300) - first, LEAST_FREEDOM)
+    return Studentised(kept, own, crossed, square, (first, second), float(np.log(tried)))

@@ -11,7 +11,7 @@ import pytest
 from clampid.catalogue import catalogue
 from clampid.diagnosis.diagnose import diagnose
 from clampid.evidence.events import EventScan, absent_events, event_scores, time_of
-from clampid.evidence.score import Flips
+from clampid.evidence.flips import Flips
 from clampid.evidence.space import space_of
 from clampid.fitting.fit import fit
 from clampid.fitting.solve import Estimate

@@ -11,7 +11,8 @@ import pytest
 from clampid.diagnosis.confirm import cross_fitted_fall
 from clampid.diagnosis.noise_beside import with_equal_weights, with_noise_beside
 from clampid.diagnosis.probes import probes
-from clampid.evidence.score import Flips, Scored, score
+from clampid.evidence.flips import Flips
+from clampid.evidence.score import Scored, score
 from clampid.evidence.space import space_of
 from clampid.fitting.fit import fit
 from clampid.fitting.solve import Estimate

@@ -13,15 +13,8 @@ from scipy.special import gammaln, logsumexp
 from clampid.diagnosis.candidate_scores import DICTIONARY_FALSE_ALARMS, CandidateScores
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns
-from clampid.evidence.score import (
-    Flips,
-    canonical,
-    explained_together,
-    flip_maxima,
-    flip_moments,
-    score,
-    tail_of,
-)
+from clampid.evidence.flips import Flips, with_null
+from clampid.evidence.score import canonical, explained_together, flip_moments, score, tail_of
 from clampid.evidence.space import Space, unshrunk
 from clampid.evidence.tails import log_tail
 from clampid.slots import Slot
@@ -87,7 +80,7 @@ def test_flips_hold_the_familywise_error():
         y = rng.standard_normal(60)[unit] + 0.7 * rng.standard_normal(180)
         sp = space(rng.standard_normal((180, 5)), y, unit)
         scored = score(sp, [candidate(rng.standard_normal((180, 1 + k % 2))) for k in range(40)])
-        null = flip_maxima(sp, scored, 99, run)
+        scored, null = with_null(sp, scored, 99, run)
         alarms += min(null.p_familywise(s.log_p) for s in scored) <= 0.05
     assert alarms <= stats.binom.isf(1e-3, runs, 0.05)
     assert alarms >= stats.binom.ppf(1e-3, runs, 0.05)
@@ -98,10 +91,11 @@ def test_flips_find_what_is_there():
     J, D = rng.standard_normal((200, 5)), rng.standard_normal((200, 1))
     sp = space(J, rng.standard_normal(200) + 0.5 * D[:, 0])
     scored = score(sp, [candidate(D, "true"), *(candidate(rng.standard_normal((200, 1))) for _ in range(30))])
-    null = flip_maxima(sp, scored, 199, 0)
+    raw = scored
+    scored, null = with_null(sp, raw, 199, 0)
     assert max(scored, key=lambda s: s.bic).candidate.name == "true"
     assert null.p_familywise(scored[0].log_p) == pytest.approx(1 / 200)
-    assert np.array_equal(null.maxima, flip_maxima(sp, scored, 199, 0).maxima)
+    assert np.array_equal(null.maxima, with_null(sp, raw, 199, 0)[1].maxima)
 
 
 def test_familywise_p_counts_the_flips_beyond():
@@ -222,7 +216,8 @@ def test_a_pull_on_a_prior_is_evidence():
         sp = Space(r, basis, np.arange(201), 1.0, 199, 200, known[200:])
         (found,) = score(sp, [candidate(J[:, :1])])
         assert found.retained < 0.05
-        p = flip_maxima(sp, [found], 199, 0).p_familywise(found.log_p)
+        (found,), null = with_null(sp, [found], 199, 0)
+        p = null.p_familywise(found.log_p)
         assert (p == pytest.approx(1 / 200)) if sure else (p > 0.05)
 
 
@@ -236,7 +231,8 @@ def test_a_wide_candidate_does_not_hide_a_narrow_one():
     wide = np.cumsum(wide, axis=1)  # smooth along a unit's entries as the noise is
     wide[:] = wide.reshape(120, 4, 200).mean(axis=1)[unit]
     scored = score(sp, [candidate(D, "true"), candidate(wide, "wide")])
-    null = flip_maxima(sp, scored, 199, 0)
+    raw = scored
+    scored, null = with_null(sp, raw, 199, 0)
     assert null.p_familywise(scored[0].log_p) == pytest.approx(1 / 200)
     assert null.p_familywise(scored[1].log_p) > 0.05
 
@@ -251,7 +247,8 @@ def test_insignificant_candidates_rank_after_significant_ones():
     there = np.where(loud, rng.standard_normal(100)[unit] + y / 10, 0.0)[:, None]
     sp = space(rng.standard_normal((400, 5)), y + 2.0 * D[:, 0], unit)
     scored = score(sp, [candidate(D, "true"), candidate(there, "loud")])
-    null = flip_maxima(sp, scored, 199, 0)
+    raw = scored
+    scored, null = with_null(sp, raw, 199, 0)
     assert max(scored, key=lambda s: s.bic).candidate.name == "loud"
     assert null.p_familywise(scored[1].log_p) > DICTIONARY_FALSE_ALARMS
     best = CandidateScores(sp, scored, [], null, null, None, unit).best()

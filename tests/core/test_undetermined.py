@@ -15,7 +15,8 @@ from clampid.diagnosis.headline import equally_good
 from clampid.display import compact, scale_for, with_error
 from clampid.effect import EffectError
 from clampid.evidence.candidates import named_candidates
-from clampid.evidence.score import Flips, Scored, score
+from clampid.evidence.flips import Flips
+from clampid.evidence.score import Scored, score
 from clampid.evidence.space import space_of
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
