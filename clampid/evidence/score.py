@@ -269,7 +269,7 @@ def _score_one(space: Space, c: Candidate, columns: AnyColumns, lines: Array, by
     explained = float(kept @ amplitude**2) / space.scale**2
     moments = flip_moments(parts, kept, space.scale, space.drawn)
     by_rest = None
-    if space.by_unit.groups <= MOST_UNITS and len(kept) <= MOST_DIRECTIONS:
+    if np.count_nonzero(~space.drawn) <= MOST_UNITS and len(kept) <= MOST_DIRECTIONS:
         directions = (columns.dense(len(space.residual)) - space.basis @ absorbed) @ weights
         by_rest = studentised(space, directions, parts, kept, len(c.sizes))
     return Scored(

@@ -28,7 +28,7 @@ from clampid.stages.rows import Array
 
 __all__ = ["MOST_DIRECTIONS", "MOST_UNITS", "Studentised", "studentised"]
 
-MOST_UNITS = 250  # with more, both statistics are as powerful, and this one needs more time
+MOST_UNITS = 199  # a log of different runs has more blocks: both statistics are as powerful, and this one takes longer
 MOST_DIRECTIONS = 32  # of a candidate: with more, units determine no variance
 LEAST_FREEDOM = 0.5
 LEAST_LEFT = 1e-3  # of a unit's noise, that the candidate leaves: less is rounding error, and is not enlarged further
