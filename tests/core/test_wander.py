@@ -206,7 +206,8 @@ def test_an_offset_that_a_walk_explains_once_it_is_fitted_along_is_not_missing(t
     measure(robot, tmp_path / "arm", noise="walk", log="trapezoids_250hz", tables=("free_air",), seed=2238)
     campaign = read_campaign(tmp_path / "arm")
     found = diagnose(identify(campaign), campaign).stages["free_air"]
-    assert found.verdict == "adequate"
+    # The first axis of each arm of this world leans, by 0.15 to 1.4 mrad, which the description does not say.
+    assert {c["name"] for c in found.candidates} <= {"base_inclination"}
     assert WANDERS in found.warnings
 
 
