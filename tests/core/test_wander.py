@@ -15,7 +15,9 @@ from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.scoring import scores_of
 from clampid.diagnosis.wandering import WANDERS, whitened_by, with_wander
+from clampid.evidence.columns import Filtered
 from clampid.evidence.scan import scan
+from clampid.evidence.score import score
 from clampid.evidence.space import space_of
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
@@ -148,6 +150,12 @@ def test_probes_and_bumps_pass_the_filter_after_they_are_formed(simulated: Calla
     (probe,) = (p for p in probes(wandering) if p.label.startswith("harmonics of q3 at joint3"))
     waves = [f(k * q) for k in (1, 2, 3) for f in (np.sin, np.cos)]
     np.testing.assert_allclose(probe.columns.dense(count), expected(*waves), atol=1e-9)
+    late = [p for p in probes(wandering) if isinstance(p.columns, Filtered)]
+    space = space_of(wandering)
+    tables = [replace(p, columns=p.columns.table) for p in late if isinstance(p.columns, Filtered)]
+    for one, other in zip(score(space, late), score(space, tables), strict=True):
+        assert one.explained == pytest.approx(other.explained, rel=1e-9, abs=1e-9)
+        assert isinstance(one.candidate.columns, Filtered)  # no table is kept
     known = {"local_angle_error": catalogue()["local_angle_error"]}
     (bump,) = (s for s in scan(wandering, space_of(wandering), known, 99, 0) if s.candidate.places == ("joint3",))
     middle, width = (bump.candidate.shapes[Slot("local_angle_error", name, "joint3")] for name in ("middle", "width"))
