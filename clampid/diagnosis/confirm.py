@@ -15,7 +15,8 @@ from scipy.linalg import block_diag
 
 from clampid.diagnosis.probes import probes
 from clampid.evidence.candidates import Candidate
-from clampid.evidence.columns import Joined, Sums
+from clampid.evidence.columns import Sums
+from clampid.evidence.joined import Joined
 from clampid.evidence.score import Scored, explained_by
 from clampid.evidence.space import Space
 from clampid.fitting.noise import Noise

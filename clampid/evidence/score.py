@@ -24,7 +24,8 @@ import numpy as np
 from scipy import linalg
 
 from clampid.evidence.candidates import Candidate
-from clampid.evidence.columns import AnyColumns, Joined
+from clampid.evidence.columns import AnyColumns
+from clampid.evidence.joined import Joined
 from clampid.evidence.of_size import of_any_size, of_size
 from clampid.evidence.space import ABSORBED, Space
 from clampid.evidence.studentised import MOST_DIRECTIONS, MOST_UNITS, Studentised, studentised

@@ -15,8 +15,9 @@ from clampid.comparison.compare import compare
 from clampid.diagnosis.candidate_scores import DICTIONARY_FALSE_ALARMS
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC, probes
-from clampid.evidence.columns import Columns, Joined, Levers, Products, Sums
+from clampid.evidence.columns import Columns, Levers, Products, Sums
 from clampid.evidence.flips import with_null
+from clampid.evidence.joined import Joined
 from clampid.evidence.score import score
 from clampid.evidence.space import space_of
 from clampid.identification.identify import identify
