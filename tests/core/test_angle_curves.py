@@ -115,7 +115,7 @@ def test_a_faulty_disc_is_named_at_every_joint(simulated: Simulated, seed: int):
 @pytest.mark.parametrize(
     ("robot", "first", "robots", "most"),
     [
-        pytest.param("kuka_kr20_r1810", 0, 6, 1, marks=pytest.mark.slow),
+        pytest.param("kuka_kr20_r1810", 0, 6, 1, marks=pytest.mark.study),
         pytest.param("kuka_kr20_r1810", 0, 20, 3, marks=pytest.mark.study),
         pytest.param("ur10", 100, 20, 3, marks=pytest.mark.study),
     ],
@@ -167,7 +167,8 @@ def test_products_are_the_columns_that_they_stand_for():
 
 
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("splits", [pytest.param(1, marks=pytest.mark.slow), pytest.param(5, marks=pytest.mark.study)])
+@pytest.mark.study
+@pytest.mark.parametrize("splits", [1, 5])
 def test_the_ur10_of_the_public_measurements(splits: int, shared_folder: Path):
     """The effect of a real robot is found by name, and its error falls, also in another session."""
     folders = [shared_folder / "real" / f"ur10_series_{s}" for s in "cd"]

@@ -166,7 +166,10 @@ def test_limits_are_those_of_what_is_not_in_the_model_in_the_end(arm: Campaign, 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("stage", "hidden", "start"),
-    [("free_air", "load_dependent_friction@joint2:3", None), ("poses", "thermal_expansion:3", START)],
+    [
+        ("free_air", "load_dependent_friction@joint2:3", None),
+        pytest.param("poses", "thermal_expansion:3", START, marks=pytest.mark.study),
+    ],
 )
 def test_what_the_diagnosis_of_one_stage_has_fitted_is_not_fitted_again(
     simulated: Simulated, monkeypatch: pytest.MonkeyPatch, stage: Stage, hidden: str, start: tuple[str, ...] | None

@@ -73,7 +73,7 @@ def test_outliers_are_found_and_listed(simulated: Simulated):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hidden", [(), pytest.param(("gear_eccentricity@joint2",), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("hidden", [(), pytest.param(("gear_eccentricity@joint2",), marks=pytest.mark.study)])
 def test_outliers_change_no_verdict(simulated: Simulated, hidden: tuple[str, ...]):
     verdicts = []
     for outliers in (0.0, 0.02):

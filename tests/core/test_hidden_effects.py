@@ -92,7 +92,14 @@ CASES = {
         Case("joint_compliance", (*TORQUES, *POSES), ("poses",), lacking=True),
     )
 }
-OF_MINUTES = ("fixture_compliance",)  # its verdict is also among the fixed ones (test_fixed_fits)
+# Their verdicts are also among the fixed ones (test_fixed_fits), or of the second world (tests/second_world).
+ALSO_ELSEWHERE = (
+    "fixture_compliance",
+    "stribeck_friction",
+    "bearing_tilt",
+    "nonlinear_stiffness",
+    "backlash",
+)
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +184,9 @@ def _hidden_where(campaign: Campaign) -> str:
 @pytest.mark.parametrize(
     "seed", [pytest.param(1, marks=pytest.mark.slow), *(pytest.param(s, marks=pytest.mark.study) for s in (2, 3, 4))]
 )
-@pytest.mark.parametrize("effect", [pytest.param(c, marks=pytest.mark.study) if c in OF_MINUTES else c for c in CASES])
+@pytest.mark.parametrize(
+    "effect", [pytest.param(c, marks=pytest.mark.study) if c in ALSO_ELSEWHERE else c for c in CASES]
+)
 def test_hidden_effect_is_named_and_mended(effect: str, seed: int, simulated: Simulated, table: list[str]):
     check(CASES[effect], seed, simulated, table)
 

@@ -69,7 +69,7 @@ def test_a_described_arm_has_no_such_error(measured: Measured):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gap", [1e-4, 2e-4])
+@pytest.mark.parametrize("gap", [pytest.param(1e-4, marks=pytest.mark.study), 2e-4])
 def test_clearances_that_follow_the_approach_alone_are_named(gap: float):
     """Loads that nobody said decide on no flank: the fit takes those of a usual arm, and both sides stand apart."""
     robot = load_robot("kuka_kr16_2")
@@ -108,7 +108,7 @@ def _with_gaps(gap: float, plant: Plant) -> Plant:
     return replace(plant, drive=replace(plant.drive, gap=np.full(plant.n, gap)))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_several_tools_weigh_the_arm():
     """Three known tools part springs from masses: gravity is named, and the springs are then known."""
     robot, bare = arm(NAME), load_robot(NAME)

@@ -207,7 +207,7 @@ def test_a_walk_seen_move_by_move_is_no_offset(tmp_path: Path, robot: str, mount
     assert WANDERS in found.warnings
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_an_offset_that_a_walk_explains_once_it_is_fitted_along_is_not_missing(tmp_path: Path) -> None:
     """Beside offsets of all motors the readings first seem to wander a tenth as much as when these are in the model."""
     robot = draw_robot("small6", 2238, mounting="floor")

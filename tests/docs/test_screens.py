@@ -104,7 +104,7 @@ def test_the_simulated_screens_are_what_is_printed_today(recorded: RecordedRuns,
             assert wrong is None, f"{match['command']}:\n{wrong}"
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.timeout(1800)
 def test_every_next_command_of_the_simulated_campaign_runs(
     recorded: RecordedRuns, simulated: tuple[str, Path], tmp_path: Path
