@@ -81,7 +81,8 @@ class Scored:
     explained
         Sum of squares that it explains, in units of the residual's variance.
     log_p
-        Natural logarithm of the p-value, from the moments of its statistic under flips.
+        Natural logarithm of the p-value, from the moments of its statistic under flips; or that of the other statistic
+        on the same scale, if it is smaller (:func:`clampid.evidence.flips.with_null`).
     bic
         ``explained - cost``; the larger the better.
     retained
@@ -269,11 +270,7 @@ def _score_one(space: Space, c: Candidate, columns: AnyColumns, lines: Array, by
         cost = min(cost, _charge(reach, amplitude, space))
     explained = float(kept @ amplitude**2) / space.scale**2
     moments = flip_moments(parts, kept, space.scale, space.drawn)
-    by_rest = None
-    if np.count_nonzero(~space.drawn) <= MOST_UNITS and len(kept) <= MOST_DIRECTIONS:
-        directions = (columns.dense(len(space.residual)) - space.basis @ absorbed) @ weights
-        by_rest = studentised(space, directions, parts, kept, len(c.sizes))
-    return Scored(
+    found = Scored(
         candidate=c.of_size(size),
         absorbed=absorbed,
         weights=weights,
@@ -290,8 +287,11 @@ def _score_one(space: Space, c: Candidate, columns: AnyColumns, lines: Array, by
             np.sum((parts[space.drawn] @ (kept * amplitude)) ** 2) / max(np.sum((kept * amplitude) ** 2), 1e-300)
         ),
         unit_limit=unit_limit * np.sqrt(max(moments[0] / float(kept.sum()), 1.0)),
-        studentised=by_rest,
     )
+    if np.count_nonzero(~space.drawn) > MOST_UNITS or len(kept) > MOST_DIRECTIONS:
+        return found
+    directions = found.directions(columns.dense(len(space.residual)), space.basis)
+    return replace(found, studentised=studentised(space, directions, parts, kept, len(c.sizes)))
 
 
 def _charge(reach: Array, amplitude: Array, space: Space) -> float:

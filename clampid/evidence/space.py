@@ -96,9 +96,7 @@ class Space:
     @cached_property
     def entries_of_units(self) -> list[Integers]:
         """The entries of each of U units, pseudo-rows included."""
-        _, unit = np.unique(self.unit, return_inverse=True)
-        order = np.argsort(unit, kind="stable").astype(np.int64)
-        return np.split(order, np.flatnonzero(np.diff(unit[order])) + 1)
+        return _entries_of(self.unit)
 
     @cached_property
     def drawn(self) -> Bools:
@@ -116,8 +114,7 @@ class Space:
 def unshrunk(residual: Array, basis: Array, unit: Integers) -> Array:
     """The residual ``(M,)`` of each unit, corrected for the share of its noise that a fit with that basis absorbed."""
     out = residual.copy()
-    order = np.argsort(unit, kind="stable")
-    for entries in np.split(order, np.flatnonzero(np.diff(unit[order])) + 1):
+    for entries in _entries_of(unit):
         Q_u = basis[entries]
         # Not by singular values: where they span twenty decades, LAPACK's quick routine now and then finds none.
         tall = len(Q_u) > Q_u.shape[1]
@@ -128,6 +125,12 @@ def unshrunk(residual: Array, basis: Array, unit: Integers) -> Array:
         else:
             out[entries] += turn @ ((1.0 / left - 1.0) * (turn.T @ residual[entries]))
     return out
+
+
+def _entries_of(unit: Integers) -> list[Integers]:
+    """The entries of each unit, in the order of their numbers."""
+    order = np.argsort(unit, kind="stable").astype(np.int64)
+    return np.split(order, np.flatnonzero(np.diff(unit[order])) + 1)
 
 
 def space_of(estimate: Estimate, unit: Integers | None = None) -> Space:

@@ -12,7 +12,7 @@ formed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -132,14 +132,15 @@ class AmplitudePoint:
         alone = np.bincount(d.parameter, minlength=len(self.theta))[d.parameter] == 1
         each = [(a, np.flatnonzero(alone[run]) + run.start) for a, run in self.problem.chain.runs]
         own = [(a, entries) for a, entries in each if len(entries) >= LARGE]
-        rest = np.ones(len(d.station), dtype=bool)
+        apart = np.ones(len(d.station), dtype=bool)
         for _, entries in own:
-            rest[entries] = False
+            apart[entries] = False
+        rest = np.flatnonzero(apart)
         A = np.zeros((len(self.theta), len(self.theta)))
         for first in range(0, len(s), ROWS_AT_ONCE):
             some = slice(first, first + ROWS_AT_ONCE)
             partials = d.partials[some]
-            parameters, J = _columns(s[some], replace(d, partials=partials), np.flatnonzero(rest))
+            parameters, J = _columns(s[some], partials, d.station, d.parameter, rest)
             flat = J.reshape(-1, J.shape[2])
             A[np.ix_(parameters, parameters)] += flat.T @ flat
             curves = [(d.parameter[k], np.ascontiguousarray(s[some, :, a]), partials[:, k]) for a, k in own]
@@ -180,21 +181,23 @@ class _Jacobian:
         return poses.by_parameter(point._levers, point.deviations, self.problem.chain)[entry, channel]
 
 
-def _columns(s: Array, d: Deviations, entries: Integers) -> tuple[Integers, Array]:
+def _columns(
+    s: Array, partials: Array, station: Integers, parameter: Integers, entries: Integers
+) -> tuple[Integers, Array]:
     """The parameters ``(p,)`` of some entries of the derivatives, and their columns ``(N, m, p)``."""
-    parameters, column, count = np.unique(d.parameter[entries], return_inverse=True, return_counts=True)
+    parameters, column, count = np.unique(parameter[entries], return_inverse=True, return_counts=True)
     out = np.zeros((*s.shape[:2], len(parameters)))
     one = count[column] == 1
-    out[:, :, column[one]] = s[:, :, d.station[entries[one]]] * d.partials[:, None, entries[one]]
+    out[:, :, column[one]] = s[:, :, station[entries[one]]] * partials[:, None, entries[one]]
     several = entries[~one]
     # All masses change all joint loads, so this block is nearly full; so is that of a curve that joints share.
-    large = (np.bincount(d.station[several], minlength=s.shape[2]) >= LARGE)[d.station[several]]
+    large = (np.bincount(station[several], minlength=s.shape[2]) >= LARGE)[station[several]]
     for some in (several[large], several[~large]):
         if len(some):
-            of, column = np.unique(d.parameter[some], return_inverse=True)
-            stations, row = np.unique(d.station[some], return_inverse=True)
+            of, column = np.unique(parameter[some], return_inverse=True)
+            stations, row = np.unique(station[some], return_inverse=True)
             block = np.zeros((len(s), len(stations), len(of)))
-            block[:, row, column] = d.partials[:, some]
+            block[:, row, column] = partials[:, some]
             at = np.searchsorted(parameters, of)
             beside = slice(at[0], at[-1] + 1) if at[-1] - at[0] + 1 == len(at) else at  # a slice needs no copies
             out[:, :, beside] += s[:, :, stations] @ block
