@@ -72,7 +72,7 @@ class CandidateScores:
     """The scores of both dictionaries on a fit's residual, with their null distributions.
 
     ``wander``: by how much the noise that they are judged by wanders, variance per step over that of a number
-    (:mod:`clampid.diagnosis.wandering`).
+    (:mod:`clampid.diagnosis.wandering`). ``noise_of_fit``: whether this noise is that by which the fit is weighted.
     """
 
     space: Space
@@ -83,6 +83,7 @@ class CandidateScores:
     probe: Scored | None
     folds: Integers
     wander: float = 0.0
+    noise_of_fit: bool = True
 
     def best(self, rejected: Collection[str] = ()) -> Scored | None:
         """The best significant name, except those whose labels are rejected; None if there is none."""

@@ -51,6 +51,8 @@ class FallTest:
         By how much the readings of a log wander beside the candidates; 0 if they do not.
     one_level
         Whether their level is one for the whole log; else it may change at each stop of the motor.
+    noise_of_fit
+        Whether the candidates were scored by the noise that weights the fit.
     """
 
     effects: Mapping[str, Effect]
@@ -58,6 +60,7 @@ class FallTest:
     seed: int
     wander: float = 0.0
     one_level: bool = False
+    noise_of_fit: bool = True
 
     def of_step(self, held_out: HeldOut, new: HeldOut, s: Scored, without: Estimate) -> tuple[float, bool]:
         """One-sided p of the fall by a candidate, estimated in one step, and whether it falls significantly."""
@@ -113,8 +116,8 @@ class FallTest:
         return replace(fall, p=self._either_without_level(fall.p, estimate, probe))
 
     def _crossed(self, estimate: Estimate, s: Scored) -> Fall:
-        """Fall of the errors as they are; a candidate was scored beside a level that wanders, if any does."""
-        return cross_fitted_fall(estimate, at_fit(estimate, s) if self.wander else s, self.seed)
+        """Fall of the errors as they are, weighted as the fit is."""
+        return cross_fitted_fall(estimate, s if self.noise_of_fit else at_fit(estimate, s), self.seed)
 
     def _either_without_level(self, p: float, estimate: Estimate, s: Scored) -> float:
         """The p by the better of two tests: one that has been made, and one with the wandering level taken out."""

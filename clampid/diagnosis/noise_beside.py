@@ -6,6 +6,9 @@ second virtual world, a cable that drags with 0.6 times the noise kept 2 % of it
 significant, the noise is learned again, from what a fit with all of these leaves, and the probes are judged by it. If
 nothing is significant, the noise stays as it was, and with it the rate of false alarms.
 
+A constant error is as slow as can be: an offset of one standard deviation is half of the noise, at any lag. So before
+anything is scored, the noise of each motor whose mean is not zero is learned about this mean.
+
 Signs are flipped in blocks that are longer than the noise's memory. So the significance of a candidate does not depend
 on the filter being right; its power does.
 """
@@ -16,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy import stats
 
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.wandering import whitened_by
@@ -29,7 +33,9 @@ from clampid.fitting.solve import Estimate
 from clampid.stages.prewhitening import autocorrelation, lag_products
 from clampid.stages.rows import Array
 
-__all__ = ["with_equal_weights", "with_noise_beside"]
+__all__ = ["with_equal_weights", "with_noise_about_its_mean", "with_noise_beside"]
+
+LEVEL_FALSE_ALARMS = 0.01  # probability that the mean of any motor is taken into account where all are zero
 
 
 def with_noise_beside(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None:
@@ -44,8 +50,43 @@ def with_noise_beside(estimate: Estimate, beside: Sequence[Scored]) -> Estimate 
     if not rows.kind.moving or not noise.autocorrelations or not beside:
         return None
     plain = with_equal_weights(estimate)
-    white = plain.whitened
-    columns = _columns(plain, [s.candidate for s in beside])
+    return _whitened_beside(estimate, plain, _columns(plain, [s.candidate for s in beside]))
+
+
+def with_noise_about_its_mean(estimate: Estimate) -> Estimate | None:
+    """The estimate of a log, whitened by the noise that motors have about their mean; None if that is as before.
+
+    A constant error correlates a motor's residual at all lags. An autoregression takes it for noise that lasts, and its
+    filter removes nearly all of the error. So the noise of a motor is learned again, about its mean, if that differs
+    from zero by this noise.
+    """
+    rows, noise = estimate.problem.rows, estimate.noise
+    if not rows.kind.moving or not noise.autocorrelations:
+        return None
+    plain = with_equal_weights(estimate)
+    white, starts = plain.whitened, channel_starts(plain.whitened)
+    limit = float(stats.norm.isf(LEVEL_FALSE_ALARMS / (2 * len(starts))))
+    levels = np.zeros((len(white.residual), len(starts)))
+    for k, (start, stop) in enumerate(starts):
+        levels[start:stop, k] = 1.0
+    about = _whitened_beside(estimate, plain, levels)
+    if about is None:
+        return None
+    constant = []
+    for k, (start, stop) in enumerate(starts):
+        shown = about.noise.shown_level(rows, int(white.channel[start]))
+        if abs(float(shown @ about.whitened.residual[start:stop])) > limit * float(np.linalg.norm(shown)):
+            constant.append(k)
+    return _whitened_beside(estimate, plain, levels[:, constant]) if constant else None
+
+
+def _whitened_beside(estimate: Estimate, plain: Estimate, columns: Array) -> Estimate | None:
+    """The estimate, whitened by the noise left beside columns ``(M, k)``; None if that is as before.
+
+    ``plain``: the estimate with equal weights, by which the columns are whitened. A motor of which all columns are zero
+    keeps its noise.
+    """
+    noise, rows, white = estimate.noise, estimate.problem.rows, plain.whitened
     left = space_of(plain).granting(columns).residual
     sigma, found, counts = noise.sigma.copy(), list(noise.autocorrelations), list(noise.counts)
     for start, stop in channel_starts(white):

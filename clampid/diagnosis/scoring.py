@@ -18,7 +18,7 @@ from clampid.diagnosis.candidate_scores import (
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.folds import stability_folds
 from clampid.diagnosis.impossible import SURE
-from clampid.diagnosis.noise_beside import with_noise_beside
+from clampid.diagnosis.noise_beside import with_noise_about_its_mean, with_noise_beside
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.wandering import whitened_by, with_wander
 from clampid.effect import Effect
@@ -67,11 +67,12 @@ def scores_of(
     wander
         By how much readings are known to wander at least.
     """
-    known = Derivatives()
+    known, about = Derivatives(), with_noise_about_its_mean(estimate)
+    estimate = about or estimate
     found = _scores_of(estimate, effects, flips, seed, granted, block, known)
     wandering = with_wander(estimate, found.clearest, wander)
     if wandering is None:
-        return found
+        return replace(found, noise_of_fit=about is None)
     if estimate.noise.autocorrelations:  # learned from what wanders, too
         short = whitened_by(estimate, estimate.noise.of_short_memory)
         clearest = _scores_of(short, effects, flips, seed, granted, block, known).clearest
@@ -81,7 +82,7 @@ def scores_of(
     del found  # as large as its rows and all that is active
     again = _scores_of(wandering, effects, flips, seed, granted, block, known)
     named = [s if s.candidate.label in shown else replace(s, state="absorbed") for s in again.named]
-    return replace(again, named=named, wander=max(wandering.noise.wander))
+    return replace(again, named=named, wander=max(wandering.noise.wander), noise_of_fit=False)
 
 
 class _Probed(NamedTuple):

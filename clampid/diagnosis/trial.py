@@ -205,7 +205,9 @@ class Bench:
 
     def falls(self, scores: CandidateScores) -> FallTest:
         """The test of a fall of the held-out error beside the noise of these scores."""
-        return FallTest(self.effects, self.verification, self.seed, scores.wander, self.wander > 0.0)
+        return FallTest(
+            self.effects, self.verification, self.seed, scores.wander, self.wander > 0.0, scores.noise_of_fit
+        )
 
     def _fall(self, along: Along, scores: CandidateScores, held_out: HeldOut) -> tuple[float, bool]:
         """As :meth:`clampid.diagnosis.falls.FallTest.of_fit`."""
@@ -385,4 +387,4 @@ def _needless(s: Scored, own: Step | None, best: Scored, step: Step | None) -> b
 
 def _step(s: Scored, scores: CandidateScores, fitted: FittedStage) -> Step | None:
     """A step towards a candidate, whose columns are whitened as the fit is and not as the scores are."""
-    return step_towards(fitted.estimate, at_fit(fitted.estimate, s) if scores.wander else s)
+    return step_towards(fitted.estimate, s if scores.noise_of_fit else at_fit(fitted.estimate, s))

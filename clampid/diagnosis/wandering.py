@@ -10,23 +10,26 @@ effect may be slow too. So readings count as wandering in two cases:
   with theirs. Evidence is twice the log-likelihood, less the logarithm of the count for each parameter (Schwarz, Ann.
   Stat. 6, 1978).
 
+A constant level of a motor's readings is no wandering: a walk that begins anywhere explains an offset as well.
+
 In neither case if a smooth function of time is likelier still, such as an instrument's drift with the time of day. That
 is a systematic error, which may be found as a missing effect.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy import linalg
 
 from clampid.evidence.columns import channel_starts
 from clampid.evidence.score import Scored
-from clampid.fitting.noise import Noise, Whitened
+from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
 from clampid.fitting.wander import course_of, wander_of
-from clampid.stages.rows import POSE_CHANNELS, Array, Rows
+from clampid.stages.rows import POSE_CHANNELS, Array
 
 __all__ = ["WANDERS", "known_to_wander", "whitened_by", "with_wander"]
 
@@ -36,6 +39,7 @@ WANDERS = (
 )
 
 COSINES = 12  # half waves over the whole time of measurement, at most
+PERIOD_STEP = 0.5  # half waves between the periods of a swing that are tried
 # An effect of so many, as a curve over a joint's turn has, is not taken to explain a wandering.
 MOST_PARAMETERS = 300
 LARGEST_SHARE_OF_COLUMNS = 0.2  # of the numbers of a channel, that may be columns beside which it wanders
@@ -101,7 +105,10 @@ def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Sequen
     active = none
     if len(estimate.theta) <= MOST_PARAMETERS:
         active = [white.jacobian[own] for own in mine.values()]
-    found = wander_of(courses, residuals, active)
+    levels = _levels(estimate, mine)
+    ends = np.cumsum([len(r) for r in residuals])[:-1]
+    free = np.split(np.hstack([np.vstack(active), _apart(levels)]), ends)
+    found = wander_of(courses, residuals, free)
     if not found.variance:
         return 0.0
     room, count = int(LARGEST_SHARE_OF_COLUMNS * max(map(len, residuals))), len(white.residual)
@@ -110,32 +117,68 @@ def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Sequen
         if s.candidate.columns.width <= room:
             extra.append(s.candidate.columns.dense(count))
             room -= s.candidate.columns.width
-    evidence = found.gain - float(np.log(sum(map(len, residuals))))
-    if evidence < _evidence(white, active, mine, _smooth(rows, white, mine)):
+    evidence, beside_levels = found.gain - float(np.log(sum(map(len, residuals)))), _Beside(free, residuals)
+    times = [rows.constants.time[white.entry[own]] for own in mine.values()]
+    if evidence < max(beside_levels.evidence(columns) for columns in _smooth(times)):
         return 0.0
-    if evidence < max((sum(s.bic for s in group) for group in beside), default=0.0):
-        columns = [np.hstack([a, *(e[own] for e in extra)]) for a, own in zip(active, mine.values(), strict=True)]
+    if not estimate.problem.kind.points:
+        evidence += max(_Beside(active, residuals).evidence(levels), 0.0)
+    if evidence < max((_evidence_of(group, mine) for group in beside), default=0.0):
+        columns = [np.hstack([a, *(e[own] for e in extra)]) for a, own in zip(free, mine.values(), strict=True)]
         found = wander_of(courses, residuals, columns)
     return found.variance
 
 
-def _smooth(rows: Rows, white: Whitened, mine: Mapping[int, slice]) -> Array:
-    """Slow cosines of the time of measurement ``(M, k)``, for each channel: smooth changes are not wandering."""
-    out = np.zeros((len(white.residual), COSINES * len(mine)))
-    for number, own in enumerate(mine.values()):
-        time = rows.constants.time[white.entry[own]]
-        share = (time - time.min()) / max(float(np.ptp(time)), 1e-12)
-        out[own, COSINES * number : COSINES * (number + 1)] = np.cos(np.pi * share[:, None] * np.arange(1, COSINES + 1))
-    return out
+def _levels(estimate: Estimate, mine: Mapping[int, slice]) -> list[Array]:
+    """A constant error of each motor's readings ``(k, 1)``; of poses none: a shift of the base is fitted."""
+    rows = estimate.problem.rows
+    if rows.kind.points:
+        return [np.zeros((own.stop - own.start, 0)) for own in mine.values()]
+    return [estimate.noise.shown_level(rows, channel)[:, None] for channel in mine]
 
 
-def _evidence(white: Whitened, active: Sequence[Array], mine: Mapping[int, slice], columns: Array) -> float:
-    """Squares of a residual that columns ``(M, k)`` explain besides others, in units of variance, less their cost."""
-    own = np.concatenate([np.arange(s.start, s.stop) for s in mine.values()])
-    others = np.vstack(active)
-    everything = np.hstack([others, columns[own], white.residual[own, None]])
-    last = np.asarray(np.linalg.qr(everything, mode="r"))[others.shape[1] :, -1] ** 2
-    width = columns.shape[1]
-    freedom = max(len(own) - others.shape[1] - width, 1)
-    explained = float(last[:width].sum()) / max(float(last[width:].sum()) / freedom, 1e-300)
-    return float(explained - width * np.log(len(own)))
+def _apart(columns: Sequence[Array]) -> Array:
+    """Columns ``(M, k)`` of all channels from those of each ``(k, c)``, zero in the other channels."""
+    return np.asarray(linalg.block_diag(*columns)) if columns[0].shape[1] else np.zeros((sum(map(len, columns)), 0))
+
+
+def _smooth(times: Sequence[Array]) -> Iterator[list[Array]]:
+    """Smooth functions of the time of measurement, for each channel ``(k, c)``: slow cosines, or a swing of one period.
+
+    ``times``: of each channel's numbers ``(k,)``. A period is that of all channels.
+    """
+    first, last = min(t.min() for t in times), max(t.max() for t in times)
+    turns = [np.pi * (t - first)[:, None] / max(last - first, 1e-12) for t in times]  # of half a wave
+    yield [np.cos(turn * np.arange(1, COSINES + 1)) for turn in turns]
+    for waves in np.arange(1.0, COSINES + 0.01, PERIOD_STEP):
+        yield [np.c_[np.cos(turn * waves), np.sin(turn * waves)] for turn in turns]
+
+
+class _Beside:
+    """The evidence of columns on the residuals of some channels, beside other columns."""
+
+    def __init__(self, active: Sequence[Array], residuals: Sequence[Array]) -> None:
+        """``active``: for each channel the other columns ``(k, p)``; ``residuals``: ``(k,)`` each."""
+        self._basis = np.asarray(np.linalg.qr(np.vstack(active))[0])
+        self._residual = self._without(np.concatenate(residuals)[:, None])[:, 0]
+
+    def evidence(self, columns: Sequence[Array]) -> float:
+        """Twice the gain of the log likelihood by columns ``(k, c)`` of each channel, less their cost."""
+        left = self._without(_apart(columns))
+        amplitudes, *_ = np.linalg.lstsq(left, self._residual)
+        squares = float(self._residual @ self._residual)
+        explained = min(float(self._residual @ (left @ amplitudes)), squares * (1.0 - 1e-12))
+        numbers, width = left.shape
+        freedom = max(numbers - self._basis.shape[1] - width, 1)
+        return float(-freedom * np.log1p(-explained / squares) - width * np.log(numbers))
+
+    def _without(self, columns: Array) -> Array:
+        return np.asarray(columns - self._basis @ (self._basis.T @ columns))
+
+
+def _evidence_of(group: Sequence[Scored], mine: Mapping[int, slice]) -> float:
+    """The same of candidates that explain different readings, together."""
+    numbers = sum(own.stop - own.start for own in mine.values())
+    explained = sum(s.explained for s in group)  # in units of the variance before
+    left = max(1.0 - explained / numbers, 1.0 / numbers)
+    return float(-numbers * np.log(left)) - sum(s.cost for s in group)

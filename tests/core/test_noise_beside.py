@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from clampid.diagnosis.confirm import cross_fitted_fall
-from clampid.diagnosis.noise_beside import with_equal_weights, with_noise_beside
+from clampid.diagnosis.noise_beside import with_equal_weights, with_noise_about_its_mean, with_noise_beside
 from clampid.diagnosis.probes import probes
+from clampid.diagnosis.wandering import whitened_by, with_wander
 from clampid.evidence.flips import Flips
 from clampid.evidence.score import Scored, score
 from clampid.evidence.space import space_of
@@ -81,3 +82,38 @@ def test_the_size_of_what_is_left_is_that_in_the_torque(lacking: Estimate) -> No
     size = np.sqrt(fall.share * motors.sum() / motors[MOTOR])
     true = SIZE / np.sqrt(1.0 + SIZE**2)  # in units of all that is left of this motor
     assert 0.5 * true < size < 1.1 * true  # a part of it looks like weight, and is taken for it
+
+
+def with_error(clean: Estimate, error: np.ndarray) -> Estimate:
+    """The fit of the same log with an error ``(N,)`` of one motor's torque, in units of its noise."""
+    rows = clean.problem.rows
+    measured = rows.measured.copy()
+    measured[:, MOTOR] += clean.noise.sigma[:, MOTOR] * error
+    return fit(clean.problem.with_rows(replace(rows, measured=measured)))
+
+
+def test_a_constant_error_is_no_noise(clean: Estimate) -> None:
+    """An offset of 1.5 standard deviations correlates the residual at all lags by two thirds, which hid it."""
+    lacking = with_error(clean, np.full(len(clean.residual), 1.5))
+    assert lacking.noise.autocorrelations[MOTOR][12] > 0.5
+    found = with_noise_about_its_mean(lacking)
+    assert found is not None
+    assert found.noise.autocorrelations[MOTOR][12] == pytest.approx(clean.noise.autocorrelations[MOTOR][12], abs=0.1)
+    assert found.noise.sigma[0, MOTOR] == pytest.approx(clean.noise.sigma[0, MOTOR], rel=0.1)
+    others = [c for c in range(len(clean.noise.autocorrelations)) if c != MOTOR]
+    for c in others:
+        np.testing.assert_array_equal(found.noise.autocorrelations[c], lacking.noise.autocorrelations[c])
+
+
+def test_a_constant_error_does_not_wander(clean: Estimate) -> None:
+    """A walk that begins anywhere was likelier than the constant, and then hid it."""
+    lacking = with_error(clean, np.full(len(clean.residual), 1.5))
+    assert with_wander(with_noise_about_its_mean(lacking) or lacking, []) is None
+    steps = 0.05 * np.random.default_rng(0).standard_normal(len(clean.residual))
+    walking = with_error(clean, 1.5 + np.cumsum(steps))
+    walking = with_noise_about_its_mean(walking) or walking
+    assert with_wander(whitened_by(walking, walking.noise.of_short_memory), []) is not None
+
+
+def test_without_a_constant_error_the_noise_stays_as_it_was(clean: Estimate) -> None:
+    assert with_noise_about_its_mean(clean) is None
