@@ -12,7 +12,7 @@ from clampid.diagnosis.next_measurement import SAME
 from clampid.effect import EffectError
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.flips import Flips
-from clampid.evidence.score import Scored, canonical, explained_together
+from clampid.evidence.score import Scored, canonical, explained_together, followed
 from clampid.evidence.space import Space
 from clampid.stages.rows import Integers
 
@@ -201,13 +201,13 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
             behind.append(other)
         else:
             found.setdefault((other.candidate.family, other.candidate.places), other)
-    # What has more numbers and is so far behind is no rival either, but for what is the same by the rows as the best
+    # What has more numbers and is so far behind is no rival either, but for what gives the same by the rows as the best
     # one or a rival of it: they say nothing against its numbers. Of a family only its simplest variant may be one:
     # further numbers imitate anything.
     for other in behind:
         if _has_simpler_variant(named, other):
             continue
-        if any(canonical(one, other) > ALIASED for one in (best, *found.values())):
+        if any(followed(one, other) > ALIASED for one in (best, *found.values())):
             found.setdefault((other.candidate.family, other.candidate.places), other)
     kept = [
         s for s in found.values() if not any(set(o.candidate.terms) < set(s.candidate.terms) for o in found.values())

@@ -150,12 +150,15 @@ class Bench:
         Undecided, without a fit, if others explain as much. Also undecided if the only objection is that
         indistinguishable candidates are first in some parts of the rows.
         """
-        rivals = rivals_of(scores.space, scores.named, best, {t.best.candidate.label for t in refused})
+        without = {t.best.candidate.label for t in refused}
+        rivals = rivals_of(scores.space, scores.named, best, without)
         known = next((s for s in (best, *rivals) if self.called_for.issuperset(s.candidate.terms)), None)
         if known is not None:
             best, rivals = known, []
         if rivals:
-            return self._undecided(simplest_of(scores.named, best), rivals, scores, fitted, held_out)
+            simplest = simplest_of(scores.named, best)
+            rivals = rivals_of(scores.space, scores.named, simplest, without) or rivals
+            return self._undecided(simplest, rivals, scores, fitted, held_out)
         step = _step(best, scores, fitted)
         if step is not None and step.falls and step.linear and best.assumed <= MOSTLY and self._plain(best):
             new = held_out_of(step.near, self.verification, self.floor, self.seed, self.block, self.folds)

@@ -28,7 +28,7 @@ from clampid.evidence.columns import AnyColumns
 from clampid.evidence.joined import Joined
 from clampid.evidence.of_size import of_any_size, of_size
 from clampid.evidence.space import ABSORBED, Space
-from clampid.evidence.studentised import MOST_DIRECTIONS, MOST_UNITS, Studentised, studentised
+from clampid.evidence.studentised import MOST_DIRECTIONS, Studentised, studentised
 from clampid.evidence.tails import log_tail
 from clampid.stages.rows import Array, Bools
 
@@ -38,11 +38,13 @@ __all__ = [
     "explained_by",
     "explained_together",
     "flip_moments",
+    "followed",
     "score",
     "tail_of",
 ]
 
 
+ENOUGH = -50.0  # ln p that a candidate would have if all units agreed: it is not limited by their number
 WEAK_BELOW = 0.05  # share of a candidate's columns that the fit cannot absorb: with less, its test is weak
 LEAST_SHARE_OF_PRIOR = 1e-3  # information of the rows over that of the prior: directions with less are left out
 SHORTEST_COLUMN = 1e-100  # length of a whitened column: the inverse square of less overflows
@@ -288,7 +290,8 @@ def _score_one(space: Space, c: Candidate, columns: AnyColumns, lines: Array, by
         ),
         unit_limit=unit_limit * np.sqrt(max(moments[0] / float(kept.sum()), 1.0)),
     )
-    if np.count_nonzero(~space.drawn) > MOST_UNITS or len(kept) > MOST_DIRECTIONS:
+    agreed = np.sum(np.linalg.norm(parts[~space.drawn] * np.sqrt(kept), axis=1)) ** 2 / space.scale**2
+    if len(kept) > MOST_DIRECTIONS or tail_of(moments, agreed) < ENOUGH:
         return found
     directions = found.directions(columns.dense(len(space.residual)), space.basis)
     return replace(found, studentised=studentised(space, directions, parts, kept, len(c.sizes)))
@@ -324,10 +327,17 @@ def canonical(a: Scored, b: Scored) -> float:
         return 0.0
     for s, other in ((a, b), (b, a)):
         if s.candidate.prior is not None:
-            found = s.kept * s.amplitude
-            shared = found @ _overlap(s, other)
-            return min(float(shared @ shared) / max(float(found @ found), 1e-300), 1.0)
+            return followed(s, other)
     return min(float(np.linalg.norm(_overlap(a, b), 2)) ** 2, 1.0)
+
+
+def followed(s: Scored, other: Scored) -> float:
+    """Share of the squares of a candidate's estimate on these rows that another candidate can follow, 0 to 1."""
+    if not s.freedom or not other.freedom:
+        return 0.0
+    found = s.kept * s.amplitude
+    shared = found @ _overlap(s, other)
+    return min(float(shared @ shared) / max(float(found @ found), 1e-300), 1.0)
 
 
 def explained_together(space: Space, a: Scored, b: Scored) -> float:

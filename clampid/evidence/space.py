@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
 
 from clampid.effect import WEAK_SPREAD as WEAK_PRIOR
 from clampid.evidence.columns import Sums
@@ -94,9 +94,12 @@ class Space:
         return np.asarray(self.by_unit.over(0, len(self.basis)) @ self.basis)
 
     @cached_property
-    def entries_of_units(self) -> list[Integers]:
-        """The entries of each of U units, pseudo-rows included."""
-        return _entries_of(self.unit)
+    def over_units(self) -> sparse.csr_array:
+        """``(U, M + p)``: sums over the entries of each of U units, pseudo-rows included."""
+        _, unit = np.unique(self.unit, return_inverse=True)
+        return sparse.csr_array(
+            (np.ones(len(unit)), (unit, np.arange(len(unit)))), shape=(self.by_unit.groups, len(unit))
+        )
 
     @cached_property
     def drawn(self) -> Bools:

@@ -26,9 +26,8 @@ from clampid.evidence.space import Space
 from clampid.evidence.tails import log_tail_of_f
 from clampid.stages.rows import Array
 
-__all__ = ["MOST_DIRECTIONS", "MOST_UNITS", "Studentised", "studentised"]
+__all__ = ["MOST_DIRECTIONS", "Studentised", "studentised"]
 
-MOST_UNITS = 199  # a log of different runs has more blocks: both statistics are as powerful, and this one takes longer
 MOST_DIRECTIONS = 32  # of a candidate: with more, units determine no variance
 LEAST_FREEDOM = 0.5
 LEAST_LEFT = 1e-3  # of a unit's noise, that the candidate leaves: less is rounding error, and is not enlarged further
@@ -84,17 +83,27 @@ def studentised(space: Space, directions: Array, parts: Array, kept: Array, trie
     tried
         Sizes of its prior that were tried.
     """
-    share = np.array([directions[k].T @ directions[k] for k in space.entries_of_units])
+    share = _by_unit(directions, space)
     flipped, root = ~space.drawn, np.sqrt(kept)
     weight = np.tile(np.diag(kept), (len(share), 1, 1))  # in pseudo-rows: their variance is known
     absorbed = np.eye(len(kept)) - (1.0 - LEAST_LEFT) * share[flipped]
     weight[flipped] = np.linalg.inv(absorbed) * np.outer(root, root)
-    crossed = np.einsum("ukl,ulm,um->uk", share, weight, parts)
+    of_parts = (weight @ parts[:, :, None])[:, :, 0]
+    crossed = (share @ of_parts[:, :, None])[:, :, 0]
     crossed[space.drawn] = 0.0
-    square = np.einsum("ukl,ulm,umn->kn", share[flipped], weight[flipped], share[flipped])
-    own = float(np.einsum("uk,ukl,ul->", parts, weight, parts))
+    square = np.sum(share[flipped] @ weight[flipped] @ share[flipped], axis=0)
+    own = float(np.sum(parts * of_parts))
     weighted = share * kept
     first = float(kept.sum()) ** 2 / max(float(np.sum(kept**2)), 1e-300)
     spread = float(np.einsum("ukl,ulk->", weighted[flipped], weighted[flipped]))  # of what is not known
     second = max(float(np.einsum("ukk->", weighted)) ** 2 / max(spread, 1e-300) - first, LEAST_FREEDOM)
     return Studentised(kept, own, crossed, square, (first, second), float(np.log(tried)))
+
+
+def _by_unit(directions: Array, space: Space) -> Array:
+    """Squares ``(U, f, f)`` of directions ``(M + p, f)`` in each unit."""
+    f, sums = directions.shape[1], space.over_units
+    out = np.empty((sums.shape[0], f, f))
+    for k in range(f):
+        out[:, k, k:] = out[:, k:, k] = sums @ (directions[:, k:] * directions[:, k, None])
+    return out

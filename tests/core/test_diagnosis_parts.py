@@ -159,6 +159,15 @@ def test_an_effect_with_many_more_parameters_is_no_rival(simulated: Callable[...
     assert not rivals_of(space, [alone, near], alone, set())  # odds of e^6 against its further number
     same = behind(score(space, [candidate("same", 1)])[0])
     assert [s.candidate.name for s in rivals_of(space, [alone, same], alone, set())] == ["same"]
+    # What has only a direction in common that explains nothing does not give the same.
+    slots = tuple(Slot("apart", f"p{k}", "joint1") for k in range(3))
+    columns = np.c_[noise[:, 0] + 0.2 * noise[:, -1], noise[:, 1], noise[:, 2]]
+    other = Candidate(
+        "apart", "apart", (Term("apart", "joint1"),), slots, {}, Columns(((0, columns),), 3), (), ("joint1",)
+    )
+    apart = behind(score(space, [other])[0])
+    assert canonical(little, apart) > 0.999
+    assert [s.candidate.name for s in rivals_of(space, [alone, little, apart], alone, set())] == ["little"]
 
 
 def test_one_wrong_number_does_not_stand_before_several_right_ones(simulated: Callable[..., Campaign]):
@@ -247,7 +256,7 @@ def test_a_candidate_scored_beside_wandering_readings_is_stepped_to_in_the_noise
     (other,) = (s for s in named if s.candidate.label == "gear_eccentricity@joint2")
     (same,) = (s for s in bench.scores(fitted, 0).named if s.candidate.label == other.candidate.label)
     assert bench.alone(fitted, other) == pytest.approx(bench.alone(fitted, same), rel=1e-6)
-    beside = replace(bench.scores(fitted, 0), space=space, named=named, wander=0.05)
+    beside = replace(bench.scores(fitted, 0), space=space, named=named, wander=0.05, noise_of_fit=False)
     step, known, bare = _step(other, beside, fitted), step_towards(estimate, same), step_towards(estimate, other)
     assert step is not None
     assert known is not None

@@ -14,7 +14,6 @@ from clampid.evidence.columns import Columns
 from clampid.evidence.flips import with_null
 from clampid.evidence.score import score
 from clampid.evidence.space import Space
-from clampid.evidence.studentised import MOST_UNITS
 from clampid.evidence.tails import log_tail_of_f
 from clampid.slots import Slot
 
@@ -85,13 +84,14 @@ def test_flips_hold_the_familywise_error_where_units_are_few_and_unlike(columns:
     assert stats.binom.ppf(1e-3, runs, 0.05) <= alarms <= stats.binom.isf(1e-3, runs, 0.05)
 
 
-def test_an_effect_that_shows_in_a_few_units_is_significant():
+@pytest.mark.parametrize(("units", "shown"), [(30, 6), (300, 12)])
+def test_an_effect_that_shows_in_a_few_units_is_significant(units: int, shown: int):
     """By its square over that of all flips it was not: of six units one pattern of signs in 32 gives as much."""
-    rng = np.random.default_rng(6)
-    unit = np.repeat(np.arange(30), 6)
-    D = np.where(unit < 6, 1.0, 0.02)[:, None] * rng.standard_normal((180, 1))
-    sp = space(rng.standard_normal((180, 4)), rng.standard_normal(180) + 4.0 * D[:, 0], unit)
-    others = [candidate(rng.standard_normal((180, 2))) for _ in range(40)]
+    rng, count = np.random.default_rng(6), 6 * units
+    unit = np.repeat(np.arange(units), 6)
+    D = np.where(unit < shown, 1.0, 0.02)[:, None] * rng.standard_normal((count, 1))
+    sp = space(rng.standard_normal((count, 4)), rng.standard_normal(count) + 4.0 * D[:, 0], unit)
+    others = [candidate(rng.standard_normal((count, 2))) for _ in range(40)]
     scored = score(sp, [candidate(D, "true"), *others])
     raw = scored
     scored, null = with_null(sp, raw, 199, 0)
@@ -116,8 +116,9 @@ def test_what_a_prior_knows_needs_no_degrees_of_freedom():
     assert s.studentised.freedom[1] == pytest.approx(1.0 / np.sum(share[:4] ** 2) - 1.0)
 
 
-def test_of_many_units_the_squares_are_the_statistic():
-    rng = np.random.default_rng(7)
-    count = MOST_UNITS + 1
+@pytest.mark.parametrize(("shown", "few"), [(400, False), (12, True)])
+def test_what_shows_in_many_units_has_one_statistic(shown: int, few: bool):
+    rng, count = np.random.default_rng(7), 400
     sp = space(rng.standard_normal((count, 3)), rng.standard_normal(count), np.arange(count))
-    assert score(sp, [candidate(rng.standard_normal((count, 1)))])[0].studentised is None
+    D = np.where(np.arange(count) < shown, 1.0, 0.01)[:, None] * rng.standard_normal((count, 1))
+    assert (score(sp, [candidate(D)])[0].studentised is not None) is few
