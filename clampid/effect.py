@@ -99,7 +99,8 @@ class Parameter:
     moment
         Of a compliance of the structure, Nm: the moment of an arm's own weight about its shoulder, stretched out, for
         which size and bounds are stated. A lighter arm has smaller bearings and thinner walls, and yields by as much
-        under its own weight: size and bounds are larger in proportion. 0: the same for all arms.
+        under its own weight: size and bounds are larger in proportion. So has a joint or link further out, by the
+        moment that it carries (:func:`kinematics.masses.own_moment`). 0: the same for all arms.
     per
         ``robot``: one; ``joint``, ``link``, ``target``, ``anchor``, ``session``: one for each.
     bounds

@@ -24,6 +24,7 @@ BUILD = 0.7  # log: from that mean to either of them
 UNEVEN = 0.7  # of a link's mass, by which links differ from each other beside that
 LEAST_MASS_SPREAD = 0.5  # kg
 OFF_MIDDLE, OFF_LEAST = 0.25, 0.02  # of a link's length, and m: how far its centre of mass is from its middle
+LEAST_OF_SHOULDER = 0.1  # of the moment about the shoulder, that any joint is built for
 CENTRE_MASS = 2.0  # kg: what a link without length may hold of a neighbour's
 
 
@@ -55,12 +56,22 @@ def usual_covariance(robot: RobotDescription) -> Array:
     return np.asarray(linalg.block_diag(*blocks) + BUILD**2 * np.outer(whole, whole))
 
 
-def own_moment(robot: RobotDescription) -> float:
-    """Moment of the arm's weight about its shoulder, the joint after the first, Nm, were it stretched out level."""
+def own_moment(robot: RobotDescription, joint: int = 1) -> float:
+    """Moment about a joint (from 0) of the weight that it carries, Nm, were the arm stretched out level from there.
+
+    That of the first joint is the one about the shoulder, the joint after it. A wrist is built for more than its own
+    weight: it counts with a tenth of the shoulder's at least. Of gears so much is usual: 1e5 to 1e6 Nm/rad in the first
+    three joints, 1e4 to 1e5 Nm/rad in a wrist.
+    """
+    about = [_moment_about(robot, j) for j in (1, max(joint, 1))]
+    return max(about[1], LEAST_OF_SHOULDER * about[0])
+
+
+def _moment_about(robot: RobotDescription, joint: int) -> float:
     _, length = _along(robot)
-    reach = np.r_[0.0, np.cumsum(length[1:])]  # along the arm from the shoulder to each joint after it, and the flange
+    reach = np.r_[0.0, np.cumsum(length[joint:])]  # along the arm from the joint to each joint after it, and the flange
     middle = 0.5 * (reach[1:] + reach[:-1])
-    return float(GRAVITY * sum(link.mass * at for link, at in zip(links_of(robot)[1:], middle, strict=True)))
+    return float(GRAVITY * sum(link.mass * at for link, at in zip(links_of(robot)[joint:], middle, strict=True)))
 
 
 def _along(robot: RobotDescription) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import pytest
 
 from kinematics.description import load_robot
 from kinematics.gravity import gravity_parameters, gravity_regressor
-from kinematics.masses import links_of, usual_covariance, usual_links
+from kinematics.masses import links_of, own_moment, usual_covariance, usual_links
 
 KNOWN = ("kuka_kr20_r1810", "ur10")
 
@@ -49,3 +49,13 @@ def test_covariance_is_one(rng):
     C = usual_covariance(load_robot("kuka_kr16_2"))
     np.testing.assert_allclose(C, C.T)
     assert np.linalg.eigvalsh(C / np.sqrt(np.outer(np.diag(C), np.diag(C)))).min() > 0.0
+
+
+@pytest.mark.parametrize("name", ["kuka_kr20_r1810", "ur10", "abb_irb1200_5_09"])
+def test_a_joint_carries_the_less_the_further_out_it_is_but_a_tenth_of_the_shoulder(name: str):
+    robot = load_robot(name)
+    moments = [own_moment(robot, joint) for joint in range(robot.n)]
+    assert moments[0] == moments[1] == own_moment(robot)
+    assert moments == sorted(moments, reverse=True)
+    assert moments[-1] == pytest.approx(0.1 * moments[0])
+    assert moments[2] < 0.7 * moments[1]
