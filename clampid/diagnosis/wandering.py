@@ -163,14 +163,19 @@ class _Beside:
         self._residual = self._without(np.concatenate(residuals)[:, None])[:, 0]
 
     def evidence(self, columns: Sequence[Array]) -> float:
-        """Twice the gain of the log likelihood by columns ``(k, c)`` of each channel, less their cost."""
-        left = self._without(_apart(columns))
-        amplitudes, *_ = np.linalg.lstsq(left, self._residual)
+        """Twice the gain of the log likelihood by columns ``(k, c)`` of each channel, less their cost.
+
+        By the first columns of each channel, as many as give the most.
+        """
+        channels, each = len(columns), columns[0].shape[1]
+        in_turn = np.arange(channels * each).reshape(channels, each).T.ravel()
+        directions, _ = np.linalg.qr(self._without(_apart(columns)[:, in_turn]))
         squares = float(self._residual @ self._residual)
-        explained = min(float(self._residual @ (left @ amplitudes)), squares * (1.0 - 1e-12))
-        numbers, width = left.shape
-        freedom = max(numbers - self._basis.shape[1] - width, 1)
-        return float(-freedom * np.log1p(-explained / squares) - width * np.log(numbers))
+        explained = np.cumsum((directions.T @ self._residual) ** 2)[channels - 1 :: channels]
+        numbers, width = len(directions), channels * np.arange(1, each + 1)
+        freedom = np.maximum(numbers - self._basis.shape[1] - width, 1)
+        left = np.maximum(1.0 - explained / squares, 1e-12)
+        return float(np.max(-freedom * np.log(left) - width * np.log(numbers)))
 
     def _without(self, columns: Array) -> Array:
         return np.asarray(columns - self._basis @ (self._basis.T @ columns))
