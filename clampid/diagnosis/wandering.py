@@ -172,7 +172,7 @@ class _Beside:
         directions, _ = np.linalg.qr(self._without(_apart(columns)[:, in_turn]))
         squares = float(self._residual @ self._residual)
         explained = np.cumsum((directions.T @ self._residual) ** 2)[channels - 1 :: channels]
-        numbers, width = len(directions), channels * np.arange(1, each + 1)
+        numbers, width = len(directions), channels * np.arange(1, len(explained) + 1)  # of few numbers fewer
         freedom = np.maximum(numbers - self._basis.shape[1] - width, 1)
         left = np.maximum(1.0 - explained / squares, 1e-12)
         return float(np.max(-freedom * np.log(left) - width * np.log(numbers)))
