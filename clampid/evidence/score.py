@@ -28,7 +28,7 @@ from clampid.evidence.columns import AnyColumns
 from clampid.evidence.joined import Joined
 from clampid.evidence.of_size import of_any_size, of_size
 from clampid.evidence.space import ABSORBED, Space
-from clampid.evidence.studentised import MOST_DIRECTIONS, Studentised, studentised
+from clampid.evidence.studentised import MOST_DIRECTIONS, MOST_UNITS, Studentised, studentised
 from clampid.evidence.tails import log_tail
 from clampid.stages.rows import Array, Bools
 
@@ -44,7 +44,7 @@ __all__ = [
 ]
 
 
-ENOUGH = -50.0  # ln p that a candidate would have if all units agreed: it is not limited by their number
+ENOUGH = -50.0  # ln p that a candidate would have if all of many units agreed: it is not limited by their number
 WEAK_BELOW = 0.05  # share of a candidate's columns that the fit cannot absorb: with less, its test is weak
 LEAST_SHARE_OF_PRIOR = 1e-3  # information of the rows over that of the prior: directions with less are left out
 SHORTEST_COLUMN = 1e-100  # length of a whitened column: the inverse square of less overflows
@@ -290,8 +290,9 @@ def _score_one(space: Space, c: Candidate, columns: AnyColumns, lines: Array, by
         ),
         unit_limit=unit_limit * np.sqrt(max(moments[0] / float(kept.sum()), 1.0)),
     )
-    agreed = np.sum(np.linalg.norm(parts[~space.drawn] * np.sqrt(kept), axis=1)) ** 2 / space.scale**2
-    if len(kept) > MOST_DIRECTIONS or tail_of(moments, agreed) < ENOUGH:
+    shown = np.linalg.norm(parts[~space.drawn] * np.sqrt(kept), axis=1)
+    of_many = len(shown) > MOST_UNITS and tail_of(moments, shown.sum() ** 2 / space.scale**2) < ENOUGH
+    if of_many or len(kept) > MOST_DIRECTIONS:
         return found
     directions = found.directions(columns.dense(len(space.residual)), space.basis)
     return replace(found, studentised=studentised(space, directions, parts, kept, len(c.sizes)))

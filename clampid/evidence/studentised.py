@@ -26,8 +26,9 @@ from clampid.evidence.space import Space
 from clampid.evidence.tails import log_tail_of_f
 from clampid.stages.rows import Array
 
-__all__ = ["MOST_DIRECTIONS", "Studentised", "studentised"]
+__all__ = ["MOST_DIRECTIONS", "MOST_UNITS", "Studentised", "studentised"]
 
+MOST_UNITS = 199  # above it a candidate has this statistic only if few of them show it: it takes longer
 MOST_DIRECTIONS = 32  # of a candidate: with more, units determine no variance
 LEAST_FREEDOM = 0.5
 LEAST_LEFT = 1e-3  # of a unit's noise, that the candidate leaves: less is rounding error, and is not enlarged further
