@@ -20,13 +20,14 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import stats
+from scipy.linalg import block_diag
 
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.wandering import whitened_by
 from clampid.evidence.candidates import Candidate, columns_of
 from clampid.evidence.columns import channel_starts
 from clampid.evidence.score import Scored
-from clampid.evidence.space import space_of
+from clampid.evidence.space import Space, space_of
 from clampid.fitting.equal_weights import uncorrelated
 from clampid.fitting.noise import groups_of
 from clampid.fitting.solve import Estimate
@@ -50,7 +51,7 @@ def with_noise_beside(estimate: Estimate, beside: Sequence[Scored]) -> Estimate 
     if not rows.kind.moving or not noise.autocorrelations or not beside:
         return None
     plain = with_equal_weights(estimate)
-    return _whitened_beside(estimate, plain, _columns(plain, [s.candidate for s in beside]))
+    return _whitened_beside(estimate, space_of(plain), _columns(plain, [s.candidate for s in beside]))
 
 
 def with_noise_about_its_mean(estimate: Estimate) -> Estimate | None:
@@ -63,13 +64,11 @@ def with_noise_about_its_mean(estimate: Estimate) -> Estimate | None:
     rows, noise = estimate.problem.rows, estimate.noise
     if not rows.kind.moving or not noise.autocorrelations:
         return None
-    plain = with_equal_weights(estimate)
-    white, starts = plain.whitened, channel_starts(plain.whitened)
+    space, white = space_of(with_equal_weights(estimate)), estimate.whitened
+    starts = channel_starts(white)
     limit = float(stats.norm.isf(LEVEL_FALSE_ALARMS / (2 * len(starts))))
-    levels = np.zeros((len(white.residual), len(starts)))
-    for k, (start, stop) in enumerate(starts):
-        levels[start:stop, k] = 1.0
-    about = _whitened_beside(estimate, plain, levels)
+    levels = block_diag(*(np.ones((stop - start, 1)) for start, stop in starts))
+    about = _whitened_beside(estimate, space, levels)
     if about is None:
         return None
     constant = []
@@ -77,17 +76,17 @@ def with_noise_about_its_mean(estimate: Estimate) -> Estimate | None:
         shown = about.noise.shown_level(rows, int(white.channel[start]))
         if abs(float(shown @ about.whitened.residual[start:stop])) > limit * float(np.linalg.norm(shown)):
             constant.append(k)
-    return _whitened_beside(estimate, plain, levels[:, constant]) if constant else None
+    return _whitened_beside(estimate, space, levels[:, constant]) if constant else None
 
 
-def _whitened_beside(estimate: Estimate, plain: Estimate, columns: Array) -> Estimate | None:
+def _whitened_beside(estimate: Estimate, plain: Space, columns: Array) -> Estimate | None:
     """The estimate, whitened by the noise left beside columns ``(M, k)``; None if that is as before.
 
-    ``plain``: the estimate with equal weights, by which the columns are whitened. A motor of which all columns are zero
+    ``plain``: its residual with equal weights, by which the columns are whitened. A motor of which all columns are zero
     keeps its noise.
     """
-    noise, rows, white = estimate.noise, estimate.problem.rows, plain.whitened
-    left = space_of(plain).granting(columns).residual
+    noise, rows, white = estimate.noise, estimate.problem.rows, estimate.whitened
+    left = plain.granting(columns).residual
     sigma, found, counts = noise.sigma.copy(), list(noise.autocorrelations), list(noise.counts)
     for start, stop in channel_starts(white):
         c = int(white.channel[start])

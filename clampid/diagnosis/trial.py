@@ -157,7 +157,8 @@ class Bench:
             best, rivals = known, []
         if rivals:
             simplest = simplest_of(scores.named, best)
-            rivals = rivals_of(scores.space, scores.named, simplest, without) or rivals
+            if simplest is not best:
+                rivals = rivals_of(scores.space, scores.named, simplest, without) or rivals
             return self._undecided(simplest, rivals, scores, fitted, held_out)
         step = _step(best, scores, fitted)
         if step is not None and step.falls and step.linear and best.assumed <= MOSTLY and self._plain(best):

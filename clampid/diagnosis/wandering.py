@@ -22,7 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import linalg
+from scipy.linalg import block_diag
 
 from clampid.evidence.columns import channel_starts
 from clampid.evidence.score import Scored
@@ -107,16 +107,10 @@ def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Sequen
         active = [white.jacobian[own] for own in mine.values()]
     levels = _levels(estimate, mine)
     ends = np.cumsum([len(r) for r in residuals])[:-1]
-    free = np.split(np.hstack([np.vstack(active), _apart(levels)]), ends)
+    free = np.split(np.hstack([np.vstack(active), block_diag(*levels)]), ends)
     found = wander_of(courses, residuals, free)
     if not found.variance:
         return 0.0
-    room, count = int(LARGEST_SHARE_OF_COLUMNS * max(map(len, residuals))), len(white.residual)
-    extra = [np.zeros((count, 0))]
-    for s in (s for group in beside for s in group):
-        if s.candidate.columns.width <= room:
-            extra.append(s.candidate.columns.dense(count))
-            room -= s.candidate.columns.width
     evidence, beside_levels = found.gain - float(np.log(sum(map(len, residuals)))), _Beside(free, residuals)
     times = [rows.constants.time[white.entry[own]] for own in mine.values()]
     if evidence < max(beside_levels.evidence(columns) for columns in _smooth(times)):
@@ -124,6 +118,12 @@ def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Sequen
     if not estimate.problem.kind.points:
         evidence += max(_Beside(active, residuals).evidence(levels), 0.0)
     if evidence < max((_evidence_of(group, mine) for group in beside), default=0.0):
+        room, count = int(LARGEST_SHARE_OF_COLUMNS * max(map(len, residuals))), len(white.residual)
+        extra = [np.zeros((count, 0))]
+        for s in (s for group in beside for s in group):
+            if s.candidate.columns.width <= room:
+                extra.append(s.candidate.columns.dense(count))
+                room -= s.candidate.columns.width
         columns = [np.hstack([a, *(e[own] for e in extra)]) for a, own in zip(free, mine.values(), strict=True)]
         found = wander_of(courses, residuals, columns)
     return found.variance
@@ -135,11 +135,6 @@ def _levels(estimate: Estimate, mine: Mapping[int, slice]) -> list[Array]:
     if rows.kind.points:
         return [np.zeros((own.stop - own.start, 0)) for own in mine.values()]
     return [estimate.noise.shown_level(rows, channel)[:, None] for channel in mine]
-
-
-def _apart(columns: Sequence[Array]) -> Array:
-    """Columns ``(M, k)`` of all channels from those of each ``(k, c)``, zero in the other channels."""
-    return np.asarray(linalg.block_diag(*columns)) if columns[0].shape[1] else np.zeros((sum(map(len, columns)), 0))
 
 
 def _smooth(times: Sequence[Array]) -> Iterator[list[Array]]:
@@ -169,7 +164,7 @@ class _Beside:
         """
         channels, each = len(columns), columns[0].shape[1]
         in_turn = np.arange(channels * each).reshape(channels, each).T.ravel()
-        directions, _ = np.linalg.qr(self._without(_apart(columns)[:, in_turn]))
+        directions, _ = np.linalg.qr(self._without(block_diag(*columns)[:, in_turn]))
         squares = float(self._residual @ self._residual)
         explained = np.cumsum((directions.T @ self._residual) ** 2)[channels - 1 :: channels]
         numbers, width = len(directions), channels * np.arange(1, len(explained) + 1)  # of few numbers fewer
