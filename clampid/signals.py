@@ -37,7 +37,9 @@ SIGNALS: Mapping[str, Signal] = {
     "q": Signal(("n",), "rad", "joint angles as the controller reports them"),
     "motor": Signal(("n",), "rad", "motor-shaft angles, T^-T q"),
     "direction": Signal(("n",), "", "direction of the last motion of each joint: +1, -1, 0 unknown", sided=True),
-    "torque": Signal(("n",), "Nm", "joint torque that the drive exerts, static: +dV/dq"),
+    "torque": Signal(
+        ("n",), "Nm", "joint torque that the drive exerts: +dV/dq at rest, with that of acceleration in motion"
+    ),
     "inertia_torque": Signal(("n",), "Nm", "joint torque that the bodies described take in acceleration and at speed"),
     "flank": Signal(("n",), "", "side on which the transmitted torque presses, -1 to +1", sided=True),
     "joint_speed": Signal(("n",), "rad/s", "speed of the joints"),

@@ -143,6 +143,8 @@ def load_of(row: RowSymbols, stage: StageChain, active: Sequence[Effect]) -> Any
     weight = row.recorded("gravity_torque")
     if stage.resting:  # of the arm where it stands, not where it was commanded
         weight = weight + row.recorded("sag_torque")
+    if stage.moving:
+        weight = weight + row.recorded("inertia_torque")
     return weight + row.total("joint_torque", load)
 
 

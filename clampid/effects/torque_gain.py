@@ -18,8 +18,8 @@ from clampid.search_policy import Search
 
 
 def torque(p: Any, x: Any) -> Any:
-    """tau_motor = g T (tau_g + tau_i): the reading is (1 + g) times the torque."""
-    return p.g * (x.transmission @ (x.torque + x.inertia_torque))
+    """tau_motor = g T tau_joint: the reading is (1 + g) times the torque."""
+    return p.g * (x.transmission @ x.torque)
 
 
 EFFECT = Effect(
@@ -29,9 +29,9 @@ EFFECT = Effect(
     parameters=(
         Parameter("g", "", 0.05, "joint", (-0.5, 1.0), "error of the torque reading, per torque", role="reading_gain"),
     ),
-    needs=("torque", "inertia_torque"),
+    needs=("torque",),
     stages=("free_air",),
-    equation="tau_motor = (1 + g) T (tau_g + tau_i)",
+    equation="tau_motor = (1 + g) T tau_joint",
     source=("VIM",),
     search=Search(scope="places"),  # a gain of all motors is one of all masses
 )

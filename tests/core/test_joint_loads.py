@@ -14,7 +14,7 @@ from clampid.stages.rows import Rows
 
 
 def test_loads_are_what_friction_that_depends_on_them_sees(few_rows: Mapping[Stage, Rows]) -> None:
-    """With masses and inertia beyond the description, and with friction, which is no load."""
+    """With masses and inertia beyond the description, in motion, and with friction, which is no load."""
     rows = few_rows["free_air"]
     slots = [
         *(Slot("coulomb_friction", "Fc", f"joint{j}") for j in (1, 2, 3)),
@@ -25,8 +25,10 @@ def test_loads_are_what_friction_that_depends_on_them_sees(few_rows: Mapping[Sta
     theta = np.linspace(0.5, 2.0, len(slots))
     loads = fit_problem(rows, effects, slots).loads(theta)
     assert loads.shape == (len(rows), rows.robot.n)
-    described = rows.signals["gravity_torque"]
+    described = rows.signals["gravity_torque"] + rows.signals["inertia_torque"]
     assert np.abs(loads - described).max() > 0.01 * np.abs(described).max()
+    np.testing.assert_allclose(fit_problem(rows, effects, slots[:3]).loads(theta[:3]), described)
+    assert np.abs(rows.signals["inertia_torque"]).max() > 0.01 * np.abs(described).max()
 
     last = Slot("load_dependent_friction", "mu", "joint2")
     trial = fit_problem(rows, effects, [*slots, last])
