@@ -99,8 +99,8 @@ class Parameter:
     moment
         Of a compliance of the structure, Nm: the moment of an arm's own weight about its shoulder, stretched out, for
         which size and bounds are stated. A lighter arm has smaller bearings and thinner walls, and yields by as much
-        under its own weight: size and bounds are larger in proportion. So has a joint or link further out, by the
-        moment that it carries (:func:`kinematics.masses.own_moment`). 0: the same for all arms.
+        under its own weight: size and bounds are larger in proportion. For a joint or link further out the bounds are
+        wider still, by the moment that it carries (:func:`kinematics.masses.own_moment`). 0: the same for all arms.
     per
         ``robot``: one; ``joint``, ``link``, ``target``, ``anchor``, ``session``: one for each.
     bounds
@@ -180,11 +180,16 @@ class Parameter:
             return self
         return replace(self._times(abs(ratio) ** self.gearing), gearing=0)
 
-    def of_weight(self, moment: float) -> Parameter:
-        """The same for an arm whose weight has a moment, Nm, about its shoulder."""
-        if not self.moment or moment >= self.moment:
+    def of_weight(self, shoulder: float, carried: float) -> Parameter:
+        """The same for an arm whose weight has a moment, Nm, about its shoulder, and another about this joint or link.
+
+        The size is that of the arm. A wrist may yield by more, as much as it carries less.
+        """
+        if not self.moment:
             return self
-        return replace(self._times(self.moment / max(moment, LEAST_MOMENT)), moment=0.0)
+        size, most = (max(self.moment / max(moment, LEAST_MOMENT), 1.0) for moment in (shoulder, carried))
+        lower, upper = self.bounds
+        return replace(self._times(size), bounds=(lower * most, upper * most), moment=0.0)
 
     def _times(self, factor: float) -> Parameter:
         lower, upper = self.bounds

@@ -226,7 +226,8 @@ def parameter_of(slot: Slot, effects: Mapping[str, Effect], robot: RobotDescript
     """The parameter that a slot is a value of, with unit, size and bounds for this robot's weight and gear there."""
     parameter = replace(find_parameter(slot, effects), unit=unit_of(slot, effects, robot))
     if parameter.moment:
-        parameter = parameter.of_weight(own_moment(robot, slot.number if parameter.per in ("joint", "link") else 1))
+        carries = slot.number if parameter.per in ("joint", "link") else 1
+        parameter = parameter.of_weight(own_moment(robot), own_moment(robot, carries))
     if not parameter.gearing:
         return parameter
     joint = slot.number
