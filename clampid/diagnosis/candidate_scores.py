@@ -14,6 +14,7 @@ from clampid.evidence.candidates import Candidate
 from clampid.evidence.flips import Flips
 from clampid.evidence.score import Scored, canonical, explained_together, followed
 from clampid.evidence.space import Space
+from clampid.fitting.wander import Level
 from clampid.stages.rows import Integers
 
 __all__ = [
@@ -71,8 +72,8 @@ def refuse_few_flips(flips: int) -> None:
 class CandidateScores:
     """The scores of both dictionaries on a fit's residual, with their null distributions.
 
-    ``wander``: by how much the noise that they are judged by wanders, variance per step over that of a number
-    (:mod:`clampid.diagnosis.wandering`). ``noise_of_fit``: whether this noise is that by which the fit is weighted.
+    ``wander``: by how much the noise that they are judged by wanders (:mod:`clampid.diagnosis.wandering`); None if it
+    does not. ``noise_of_fit``: whether this noise is that by which the fit is weighted.
     """
 
     space: Space
@@ -82,7 +83,7 @@ class CandidateScores:
     free_null: Flips
     probe: Scored | None
     folds: Integers
-    wander: float = 0.0
+    wander: Level | None = None
     noise_of_fit: bool = True
 
     def best(self, rejected: Collection[str] = ()) -> Scored | None:

@@ -13,6 +13,7 @@ from clampid.diagnosis.wandering import known_to_wander
 from clampid.effect import Effect
 from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
+from clampid.fitting.wander import Level
 from clampid.slots import Term
 from clampid.stages.rows import Rows
 
@@ -48,9 +49,7 @@ class FallTest:
     seed
         Of the sign flips.
     wander
-        By how much the readings of a log wander beside the candidates; 0 if they do not.
-    one_level
-        Whether their level is one for the whole log; else it may change at each stop of the motor.
+        By how much the readings wander beside the candidates; None if they do not.
     noise_of_fit
         Whether the candidates were scored by the noise that weights the fit.
     """
@@ -58,8 +57,7 @@ class FallTest:
     effects: Mapping[str, Effect]
     verification: Rows | None
     seed: int
-    wander: float = 0.0
-    one_level: bool = False
+    wander: Level | None = None
     noise_of_fit: bool = True
 
     def of_step(self, held_out: HeldOut, new: HeldOut, s: Scored, without: Estimate) -> tuple[float, bool]:
@@ -68,8 +66,8 @@ class FallTest:
         if p > 0.5 * HELD_OUT_RATE:
             if self.verification is not None:
                 p = either_p(p, self._crossed(without, s).p)
-            elif self._wanders(without):
-                p = self._either_without_level(p, without, s)
+            elif (steady := self._without_level(without)) is not None:
+                p = either_p(p, cross_fitted_fall(steady, at_fit(steady, s), self.seed).p)
         return p, p <= HELD_OUT_RATE and held_out.exceed(new)
 
     def of_fit(
@@ -94,8 +92,8 @@ class FallTest:
         if p > 0.5 * HELD_OUT_RATE:
             if self.verification is not None:
                 p = either_p(p, terms_p(trial, kept, self.seed))
-            elif self._wanders(trial):
-                p = either_p(p, terms_p(known_to_wander(trial, self.wander, self.one_level), kept, self.seed))
+            elif (steady := self._without_level(trial)) is not None:
+                p = either_p(p, terms_p(steady, kept, self.seed))
         if p <= HELD_OUT_RATE and held_out.exceed(new):
             return p, True
         return p, best.assumed > MOSTLY and not raises and bool(kept) and pays(trial, kept)
@@ -111,18 +109,19 @@ class FallTest:
                 return fall
             return replace(fall, p=either_p(fall.p, self._crossed(estimate, probe).p))
         fall = self._crossed(estimate, probe)
-        if fall.p <= 0.5 * HELD_OUT_RATE or not self._wanders(estimate):
+        if fall.p <= 0.5 * HELD_OUT_RATE:
             return fall
-        return replace(fall, p=self._either_without_level(fall.p, estimate, probe))
+        steady = self._without_level(estimate)
+        if steady is None:
+            return fall
+        return replace(fall, p=either_p(fall.p, cross_fitted_fall(steady, at_fit(steady, probe), self.seed).p))
 
     def _crossed(self, estimate: Estimate, s: Scored) -> Fall:
         """Fall of the errors as they are, weighted as the fit is."""
         return cross_fitted_fall(estimate, s if self.noise_of_fit else at_fit(estimate, s), self.seed)
 
-    def _either_without_level(self, p: float, estimate: Estimate, s: Scored) -> float:
-        """The p by the better of two tests: one that has been made, and one with the wandering level taken out."""
-        level = known_to_wander(estimate, self.wander, self.one_level)
-        return either_p(p, cross_fitted_fall(level, at_fit(level, s), self.seed).p)
-
-    def _wanders(self, estimate: Estimate) -> bool:
-        return self.wander > 0.0 and not estimate.problem.kind.points
+    def _without_level(self, estimate: Estimate) -> Estimate | None:
+        """The estimate of a log, the wandering level taken out; None if it does not wander."""
+        if self.wander is None or estimate.problem.kind.points:
+            return None
+        return known_to_wander(estimate, self.wander)

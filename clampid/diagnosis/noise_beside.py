@@ -103,7 +103,7 @@ def _whitened_beside(estimate: Estimate, plain: Space, columns: Array) -> Estima
 def with_equal_weights(estimate: Estimate) -> Estimate:
     """The same estimate, all rows of a motor with equal weights."""
     noise = estimate.noise
-    return whitened_by(estimate, replace(noise, autocorrelations=uncorrelated(len(noise.autocorrelations)), wander=()))
+    return whitened_by(estimate, replace(noise, autocorrelations=uncorrelated(len(noise.autocorrelations)), level=None))
 
 
 def _columns(plain: Estimate, candidates: Sequence[Candidate]) -> Array:

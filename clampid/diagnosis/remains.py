@@ -107,7 +107,7 @@ def remains_of(scores: CandidateScores, estimate: Estimate, held_out: HeldOut, f
         large = size >= MATTERS * held_out.floor.norm > 0.0 and held_out.rms > held_out.floor.norm
     else:
         large = size_of(explained.share + float(stats.norm.isf(CLEARLY)) * explained.error) >= MATTERS
-    variables, wanders = variables_of(scores.seen_by(probe)), scores.wander > 0.0 and not poses
+    variables, wanders = variables_of(scores.seen_by(probe)), scores.wander is not None and not poses
     matters = large or (not wanders and above_the_floor(held_out, CLEARLY))
     return Remains(tuple(variables), where, size, fall.p, matters, probe)
 

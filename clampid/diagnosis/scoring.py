@@ -31,6 +31,7 @@ from clampid.evidence.score import Scored, score
 from clampid.evidence.space import Space, space_of
 from clampid.fitting.further_columns import Derivatives
 from clampid.fitting.solve import Estimate
+from clampid.fitting.wander import Level
 from clampid.slots import number_of
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Rows
@@ -49,7 +50,7 @@ def scores_of(
     seed: int,
     granted: Sequence[Candidate] = (),
     block: int = 1,
-    wander: float = 0.0,
+    wander: Level | None = None,
 ) -> CandidateScores:
     """Score both dictionaries on a fit's residual, with their null distributions.
 
@@ -65,7 +66,7 @@ def scores_of(
     block
         Of poses: how many consecutive visits the null flips together.
     wander
-        By how much readings are known to wander at least.
+        By how much readings are known to wander at least; None if they are not.
     """
     known, about = Derivatives(), with_noise_about_its_mean(estimate)
     estimate = about or estimate
@@ -82,7 +83,7 @@ def scores_of(
     del found  # as large as its rows and all that is active
     again = _scores_of(wandering, effects, flips, seed, granted, block, known)
     named = [s if s.candidate.label in shown else replace(s, state="absorbed") for s in again.named]
-    return replace(again, named=named, wander=max(wandering.noise.wander), noise_of_fit=False)
+    return replace(again, named=named, wander=wandering.noise.level, noise_of_fit=False)
 
 
 class _Probed(NamedTuple):
@@ -113,7 +114,7 @@ def probed_beside_what_stands_out(
     as they are: laws of effects are approximations, which less noise would tell apart. Nothing changes in other stages,
     nor if readings wander. Parameters as of :func:`scores_of`.
     """
-    if scores.wander:
+    if scores.wander is not None:
         return estimate, scores
     best, beside = scores.best(), dict[str, Scored]()
     if best is not None:

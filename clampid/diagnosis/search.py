@@ -14,6 +14,7 @@ from clampid.diagnosis.held_out import HeldOut
 from clampid.diagnosis.trial import Bench
 from clampid.diagnosis.tried import Left, Taken, Tried, Undecided
 from clampid.evidence.score import Scored
+from clampid.fitting.wander import Level, larger
 from clampid.identification.fitted_stage import FittedStage
 
 __all__ = ["Searched", "search"]
@@ -44,7 +45,7 @@ class Searched:
     rest
         What the fit with one of each undecided group leaves, the others granted; None where it is not known.
     wander
-        By how much readings wander, at most, with everything found in the model (:mod:`clampid.diagnosis.wandering`).
+        By how much readings wander, at most, with everything found in the model; None if they do not.
     """
 
     before: HeldOut
@@ -57,7 +58,7 @@ class Searched:
     held_out: HeldOut
     scores: CandidateScores
     rest: Left | None
-    wander: float
+    wander: Level | None
 
     @property
     def left(self) -> Left | None:
@@ -66,10 +67,10 @@ class Searched:
 
     @property
     def least_wander(self) -> float:
-        """By how much readings wandered at least where something was found; what no search exceeds if nothing was."""
+        """Variance of the level that readings had at least where something was found; infinite if nothing was."""
         groups = [*(t.group for t in self.taken), *self.undecided]
-        found = [*(s.tried.scores.wander for s in self.steps), *(g.scores.wander for g in groups)]
-        return min(found, default=math.inf)
+        scores = [*(s.tried.scores for s in self.steps), *(g.scores for g in groups)]
+        return min((0.0 if s.wander is None else s.wander.variance for s in scores), default=math.inf)
 
 
 def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
@@ -93,7 +94,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     refused: list[dict[str, Any]] = []
     dropped: set[str] = set()
     rest: Left | None = None
-    wander = 0.0
+    wander: Level | None = None
     earlier: dict[str, Tried] = {}
     for number in range(1, SEARCH_ROUNDS + 1):
         tried, others = bench.decided(scores, fitted, held_out, earlier)  # a ranking is valid for one step
@@ -107,7 +108,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
         else:
             if isinstance(tried, Undecided):
                 given = bench.confirm_given_ambiguity(tried, fitted, held_out, number, earlier)
-                tried, undecided, rest, wander = given.found, given.groups, given.rest, max(wander, given.wander)
+                tried, undecided, rest, wander = given.found, given.groups, given.rest, larger(wander, given.wander)
                 refused += [t.refusal(effects) for t in given.refused]
             if tried is None:
                 break
@@ -116,7 +117,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
         scores = scores.remembered  # the whole is as large as its rows, and the next is about to be made
         scores = bench.scores(fitted, 2 * number)
     if not undecided:  # else these scores are from before, and `given.wander` is that beside the undecided groups
-        wander = max(wander, scores.wander)
+        wander = larger(wander, scores.wander)
     return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held_out, scores, rest, wander)
 
 

@@ -44,7 +44,7 @@ from clampid.stages.stage_kind import kind_of
 
 __all__ = ["diagnose_stage"]
 
-WANDERS_MORE = 1.2  # times the variance per step: less changes no standard error by more than a tenth
+WANDERS_MORE = 1.2  # times the variance: less changes no standard error by more than a tenth
 FAR_OFF = 2.0  # of the largest plausible noise: more is not noise, even if the stated accuracies are optimistic
 
 Propose = Callable[[Estimate, Sequence[Scored], float], NextPlan | None]
@@ -73,7 +73,7 @@ def diagnose_stage(fitted: FittedStage, bench: Bench, propose: Propose | None = 
         result.summary = " ".join([summary_of(result), *result.warnings])
     if drift is not None:
         _warn(result, drift.sentence)
-    elif result.scores is not None and result.scores.wander:  # a drift says as much, and more
+    elif result.scores is not None and result.scores.wander is not None:  # a drift says as much, and more
         _warn(result, WANDERS)
     return result
 
@@ -94,8 +94,9 @@ def _searched(fitted: FittedStage, bench: Bench) -> tuple[Bench, Searched]:
     outcome = search(bench, fitted)
     if isinstance(outcome, Folds):
         return _searched(fitted, replace(bench, folds=outcome))
-    if not bench.wander and outcome.wander > WANDERS_MORE * outcome.least_wander:
-        return _searched(fitted, replace(bench, wander=outcome.wander))
+    wander = outcome.wander
+    if bench.wander is None and wander is not None and wander.variance > WANDERS_MORE * outcome.least_wander:
+        return _searched(fitted, replace(bench, wander=wander))
     return bench, outcome
 
 

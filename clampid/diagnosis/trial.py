@@ -30,6 +30,7 @@ from clampid.effect import Effect, Stage
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored, canonical
 from clampid.fitting.accuracy import Floor
+from clampid.fitting.wander import Level, larger
 from clampid.identification.fitted_stage import FittedStage
 from clampid.progress import substep
 from clampid.slots import Term
@@ -70,7 +71,7 @@ class Bench:
     elsewhere
         Other stages of which there are rows.
     wander
-        By how much readings are known to wander at least (:mod:`clampid.diagnosis.wandering`).
+        By how much readings are known to wander at least; None if they are not.
     """
 
     effects: dict[str, Effect]
@@ -83,7 +84,7 @@ class Bench:
     called_for: frozenset[Term] = frozenset()
     folds: Folds | None = None
     elsewhere: frozenset[Stage] = frozenset()
-    wander: float = 0.0
+    wander: Level | None = None
 
     @substep("scoring the candidates", ROUND_SHARE)
     def scores(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> CandidateScores:
@@ -209,9 +210,7 @@ class Bench:
 
     def falls(self, scores: CandidateScores) -> FallTest:
         """The test of a fall of the held-out error beside the noise of these scores."""
-        return FallTest(
-            self.effects, self.verification, self.seed, scores.wander, self.wander > 0.0, scores.noise_of_fit
-        )
+        return FallTest(self.effects, self.verification, self.seed, scores.wander, scores.noise_of_fit)
 
     def _fall(self, along: Along, scores: CandidateScores, held_out: HeldOut) -> tuple[float, bool]:
         """As :meth:`clampid.diagnosis.falls.FallTest.of_fit`."""
@@ -326,11 +325,11 @@ class Bench:
         earlier
             As of :meth:`decided`.
         """
-        groups, whole, wander = [undecided], fitted, 0.0
+        groups, whole, wander = [undecided], fitted, larger()
         while len(groups) < GROUPS:
             whole, granted = self.with_undecided(groups, fitted, whole)
             scores = self.scores(whole, 2 * number - 1, granted)
-            wander = max(wander, scores.wander)
+            wander = larger(wander, scores.wander)
             left = Left(whole.estimate, scores, self.held_out(whole), granted)
             found, _ = self.decided(scores, whole, left.held_out, earlier)
             if found is None:

@@ -14,6 +14,7 @@ from clampid.effect import Effect, Stage
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored, canonical, explained_together
 from clampid.fitting.solve import Estimate
+from clampid.fitting.wander import Level
 from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
 from clampid.stages.stage_kind import acts_with, stages_with
@@ -152,11 +153,11 @@ class GivenAmbiguity(NamedTuple):
         What the fit with one of each group leaves, the others granted; None where an effect was found, or no more
         groups were looked for.
     wander
-        By how much readings wander with the candidates in the model (:mod:`clampid.diagnosis.wandering`).
+        By how much readings wander with the candidates in the model (:mod:`clampid.diagnosis.wandering`); None if not.
     """
 
     found: Tried | None
     groups: list[Undecided]
     refused: list[Tried]
     rest: Left | None
-    wander: float
+    wander: Level | None

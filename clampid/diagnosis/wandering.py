@@ -1,16 +1,16 @@
-"""Test whether a measurement's noise wanders (a random walk of its zero), given the significant candidates.
+"""Test whether a measurement's noise wanders (its zero moves slowly, at random), given the significant candidates.
 
-Signs are flipped visit by visit, or block by block of a log. If the zero of a reading walks for minutes, blocks are not
+Signs are flipped visit by visit, or block by block of a log. If the zero of a reading moves for minutes, blocks are not
 independent, and every slow variable becomes falsely significant: an offset, a temperature, the time. But a missing
 effect may be slow too. So readings count as wandering in two cases:
 
 * in addition to the best significant name and probe (in logs, the best probe of each motor: a motor's probe explains no
   other motor's torque). If these explain all slow changes, none are left.
-* if one parameter, the size of the walk, is likelier than the best name with all its parameters, and than the probes
-  with theirs. Evidence is twice the log-likelihood, less the logarithm of the count for each parameter (Schwarz, Ann.
-  Stat. 6, 1978).
+* if one parameter, the variance of the level, is likelier than the best name with all its parameters, and than the
+  probes with theirs. Evidence is twice the log-likelihood, less the logarithm of the count for each parameter (Schwarz,
+  Ann. Stat. 6, 1978).
 
-A constant level of a motor's readings is no wandering: a walk that begins anywhere explains an offset as well.
+A constant level of a motor's readings is no wandering: a level that begins anywhere explains an offset as well.
 
 In neither case if a smooth function of time is likelier still, such as an instrument's drift with the time of day. That
 is a systematic error, which may be found as a missing effect.
@@ -28,13 +28,13 @@ from clampid.evidence.columns import channel_starts
 from clampid.evidence.score import Scored
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
-from clampid.fitting.wander import course_of, wander_of
+from clampid.fitting.wander import Level, larger, wander_of, waves_of
 from clampid.stages.rows import POSE_CHANNELS, Array
 
 __all__ = ["WANDERS", "known_to_wander", "whitened_by", "with_wander"]
 
 WANDERS = (
-    "The readings wander: their level drifts and does not return (chance below 1 %), so slow changes count less as "
+    "The readings wander: their level changes slowly and at random (chance below 1 %), so slow changes count less as "
     "evidence."
 )
 
@@ -45,7 +45,7 @@ MOST_PARAMETERS = 300
 LARGEST_SHARE_OF_COLUMNS = 0.2  # of the numbers of a channel, that may be columns beside which it wanders
 
 
-def with_wander(estimate: Estimate, beside: Sequence[Sequence[Scored]], least: float = 0.0) -> Estimate | None:
+def with_wander(estimate: Estimate, beside: Sequence[Sequence[Scored]], least: Level | None = None) -> Estimate | None:
     """The same estimate with wandering noise, or None where wandering is not significant.
 
     The coordinates of a point wander alike, and so do the readings of a log's motors, each in units of its noise.
@@ -56,8 +56,8 @@ def with_wander(estimate: Estimate, beside: Sequence[Sequence[Scored]], least: f
         Significant candidates that may explain all slow changes, the most significant first, in groups whose members
         explain different readings.
     least
-        Known lower limit of the wandering: variance per step over that of a number. If it is known, the level is one
-        for the whole log; before, what changes at a stop of the motor may be a missing effect.
+        By how much the readings are known to wander at least. If that is known, the level is one for the whole log;
+        before, what changes at a stop of the motor may be a missing effect.
     """
     rows, white = estimate.problem.rows, estimate.whitened
     if rows.kind.solved or not len(white.residual):
@@ -65,26 +65,17 @@ def with_wander(estimate: Estimate, beside: Sequence[Sequence[Scored]], least: f
     wanted = POSE_CHANNELS[0] if rows.kind.points else range(rows.measured.shape[1])
     channels = {int(white.channel[start]): slice(start, stop) for start, stop in channel_starts(white)}
     mine = {c: channels[c] for c in wanted if c in channels}
-    variance = max(_seen(estimate, mine, beside, least > 0.0), least)
-    if not mine or not variance:
+    goes_on = least is not None
+    level = larger(_seen(estimate, mine, beside, goes_on), least) if mine else None
+    if level is None:
         return None
-    each = (variance if c in mine else 0.0 for c in range(rows.measured.shape[1]))
-    return whitened_by(estimate, replace(estimate.noise, wander=tuple(each), one_level=least > 0.0))
+    return whitened_by(estimate, replace(estimate.noise, level=replace(level, goes_on=goes_on)))
 
 
-def known_to_wander(estimate: Estimate, wander: float, one_level: bool) -> Estimate:
-    """The same estimate of a log, whitened by a noise with short memory and a level that wanders by so much.
-
-    Parameters
-    ----------
-    wander
-        Variance per step over that of a number.
-    one_level
-        Whether the level is one for the whole log; else it may change at each stop of the motor.
-    """
+def known_to_wander(estimate: Estimate, level: Level) -> Estimate:
+    """The same estimate of a log, whitened by a noise with short memory and a level that wanders by so much."""
     noise = estimate.noise.of_short_memory if estimate.noise.autocorrelations else estimate.noise
-    each = (wander,) * estimate.problem.rows.measured.shape[1]
-    return whitened_by(estimate, replace(noise, wander=each, one_level=one_level))
+    return whitened_by(estimate, replace(noise, level=level))
 
 
 def whitened_by(estimate: Estimate, noise: Noise) -> Estimate:
@@ -93,28 +84,32 @@ def whitened_by(estimate: Estimate, noise: Noise) -> Estimate:
     return replace(estimate, noise=noise, whitened=noise.whiten(estimate.problem.rows, residual, jacobian))
 
 
-def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Sequence[Scored]], one_level: bool) -> float:
-    """By how much some channels, entries of each given, are seen to wander beside what stands out; 0 if not."""
+def _seen(
+    estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Sequence[Scored]], goes_on: bool
+) -> Level | None:
+    """By how much some channels, entries of each given, are seen to wander beside what stands out; None if not."""
     rows, white = estimate.problem.rows, estimate.whitened
-    shown = {c: estimate.noise.shown_level(rows, c) if one_level else None for c in mine}
-    courses = [course_of(rows, white.entry[own], shown[c]) for c, own in mine.items()]
+    shown = {c: estimate.noise.shown_level(rows, c) if goes_on else None for c in mine}
+    waves = [waves_of(rows, white.entry[own], shown[c]) for c, own in mine.items()]
+    # All numbers of a visit share how well the robot repeats, which flicker noise of as many waves as visits imitates.
+    flickers = not rows.kind.points
     residuals = [white.residual[own] for own in mine.values()]
     none = [np.ones((len(r), 1)) for r in residuals]
-    if not mine or not wander_of(courses, residuals, none).variance:
-        return 0.0  # not even by itself, which takes a hundredth of the time
+    if not mine or wander_of(waves, residuals, none, flickers=flickers) is None:
+        return None  # not even by itself, which takes a hundredth of the time
     active = none
     if len(estimate.theta) <= MOST_PARAMETERS:
         active = [white.jacobian[own] for own in mine.values()]
     levels = _levels(estimate, mine)
     ends = np.cumsum([len(r) for r in residuals])[:-1]
     free = np.split(np.hstack([np.vstack(active), block_diag(*levels)]), ends)
-    found = wander_of(courses, residuals, free)
-    if not found.variance:
-        return 0.0
+    found = wander_of(waves, residuals, free, flickers=flickers)
+    if found is None:
+        return None
     evidence, beside_levels = found.gain - float(np.log(sum(map(len, residuals)))), _Beside(free, residuals)
     times = [rows.constants.time[white.entry[own]] for own in mine.values()]
     if evidence < max(beside_levels.evidence(columns) for columns in _smooth(times)):
-        return 0.0
+        return None
     if not estimate.problem.kind.points:
         evidence += max(_Beside(active, residuals).evidence(levels), 0.0)
     if evidence < max((_evidence_of(group, mine) for group in beside), default=0.0):
@@ -125,8 +120,8 @@ def _seen(estimate: Estimate, mine: Mapping[int, slice], beside: Sequence[Sequen
                 extra.append(s.candidate.columns.dense(count))
                 room -= s.candidate.columns.width
         columns = [np.hstack([a, *(e[own] for e in extra)]) for a, own in zip(free, mine.values(), strict=True)]
-        found = wander_of(courses, residuals, columns)
-    return found.variance
+        found = wander_of(waves, residuals, columns, flickers=flickers)
+    return None if found is None else found.level
 
 
 def _levels(estimate: Estimate, mine: Mapping[int, slice]) -> list[Array]:

@@ -132,7 +132,7 @@ class Levers:
         Number of rows N.
     channels
         First and last + 1 of each channel's entries.
-    innovations
+    without_level
         Of readings that wander: turns columns ``(M, k)``, in place, into their whitened ones. None where each entry is
         independent of all others.
     """
@@ -141,15 +141,15 @@ class Levers:
     entry: Integers
     rows: int
     channels: tuple[tuple[int, int], ...] = ()
-    innovations: Callable[[Array], Array] | None = None
+    without_level: Callable[[Array], Array] | None = None
 
     @staticmethod
     def of(estimate: Estimate, unit: Array) -> Levers:
         """Levers of poses, from the change of the measurement ``(N, m, n)``, SI, by a unit at each place."""
         rows, noise = estimate.problem.rows, estimate.noise
-        plain = replace(noise, wander=()).whiten(rows, np.zeros(unit.shape[:2]), unit)
-        wandering = noise.innovations(rows, plain.entry, plain.channel) if any(noise.wander) else None
-        return Levers(plain.jacobian, plain.entry, len(rows), channel_starts(plain), wandering)
+        plain = replace(noise, level=None).whiten(rows, np.zeros(unit.shape[:2]), unit)
+        without_level = noise.without_level(rows, plain.entry, plain.channel)
+        return Levers(plain.jacobian, plain.entry, len(rows), channel_starts(plain), without_level)
 
     def by_row(self, weights: Array) -> Array:
         """Sums ``(N,)`` of weights ``(M,)`` over the entries of each row."""
@@ -195,7 +195,7 @@ class Products:
     @property
     def whitened(self) -> Products | Filtered:
         """The columns as they are whitened: themselves where each entry is independent."""
-        return self if self.levers.innovations is None else Filtered(self)
+        return self if self.levers.without_level is None else Filtered(self)
 
     @property
     def width(self) -> int:
@@ -287,7 +287,7 @@ def tables_of(members: Sequence[Filtered]) -> list[Columns]:
     for levers, run in groupby((m.products for m in members), key=lambda p: p.levers):
         own = list(run)
         whole = np.hstack([p.dense(len(levers.entry)) for p in own])
-        whole = whole if levers.innovations is None else levers.innovations(whole)
+        whole = whole if levers.without_level is None else levers.without_level(whole)
         each = np.split(whole, np.cumsum([p.width for p in own], dtype=int)[:-1], axis=1)
         out += [Columns(tuple((a, block[a:b]) for a, b in levers.channels), block.shape[1]) for block in each]
     return out

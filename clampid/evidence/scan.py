@@ -196,11 +196,11 @@ def _places(
     if not shapes:
         return None
     D: Array | sparse.csc_matrix
-    if levers.innovations is None:
+    if levers.without_level is None:
         D = (sparse.diags(lever) @ sparse.csr_matrix(np.array(functions).T)[levers.entry]).tocsc()
         gram = np.asarray(D.multiply(D).sum(axis=0)).ravel()
     else:  # a whitened column is nowhere zero after the first visit that it moves
-        D = levers.innovations(lever[:, None] * np.array(functions).T[levers.entry])
+        D = levers.without_level(lever[:, None] * np.array(functions).T[levers.entry])
         gram = np.einsum("mc,mc->c", D, D)
     absorbed = np.asarray(D.T @ space.basis[: space.rows])  # (C, r)
     left = gram - np.sum(absorbed**2, axis=1)
@@ -262,7 +262,7 @@ def _column(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -> A
     p: Any = SimpleNamespace(**{amplitude: 1.0, **shapes})
     values = np.asarray(tried.effect.acts["joint_angle"](p, SimpleNamespace(q=q)), dtype=float).ravel()
     column = np.asarray(tried.levers.values[:, tried.joint] * values[tried.levers.entry])
-    return column if tried.levers.innovations is None else tried.levers.innovations(column[:, None])[:, 0]
+    return column if tried.levers.without_level is None else tried.levers.without_level(column[:, None])[:, 0]
 
 
 def _candidate(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -> Candidate:

@@ -32,7 +32,7 @@ ROWS_AT_ONCE = 512  # whose columns are formed together: more saves no time and 
 
 def has_many_amplitudes(problem: FitProblem, noise: Noise) -> bool:
     """Whether the normal equations of this problem are computed faster by stations."""
-    if not problem.kind.points or noise.autocorrelations or noise.wander:
+    if not problem.kind.points or noise.autocorrelations or noise.level is not None:
         return False
     return bool(np.bincount(problem.chain.station, minlength=1).max() >= LARGE)
 

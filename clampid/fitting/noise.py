@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from clampid.chain.piecewise import runs_of
 from clampid.fitting.anisotropy import relative_axes
-from clampid.fitting.wander import course_of
+from clampid.fitting.wander import Level, waves_of
 from clampid.stages.prewhitening import (
     ENOUGH_PAIRS,
     ORDER,
@@ -28,7 +28,7 @@ from clampid.stages.prewhitening import (
     settled,
 )
 from clampid.stages.row_constants import LogConstants
-from clampid.stages.rows import Array, Integers, Rows
+from clampid.stages.rows import POSE_CHANNELS, Array, Integers, Rows
 
 __all__ = ["Late", "Noise", "SparseColumns", "Whitened", "groups_of", "initial_noise", "learn_noise", "put_columns"]
 
@@ -138,20 +138,16 @@ class Noise:
         the averages.
     counts
         Number of values from which the noise of each channel was estimated.
-    wander
-        ``(m,)``, or empty: variance per step of each channel's random-walk level, in units of the variance of a number
+    level
+        Slow noise of the coordinates of points, or of all motors of a log; None if they have none
         (:mod:`clampid.fitting.wander`). No fit estimates it: the residual of a missing effect may wander too.
-    one_level
-        Of a log that wanders: whether one level goes on over all stretches of rows that count, as seen through the
-        filter. Otherwise its jumps at the beginning of each stretch are left to the candidates.
     """
 
     sigma: Array
     autocorrelations: tuple[Array, ...] = ()
     together: int = 1
     counts: tuple[float, ...] = ()
-    wander: tuple[float, ...] = ()
-    one_level: bool = False
+    level: Level | None = None
 
     @property
     def of_short_memory(self) -> Noise:
@@ -185,26 +181,26 @@ class Noise:
         sigma, columns = self.sigma[entry, channel], jacobian[entry, channel]
         columns /= sigma[:, None]  # in place: the Jacobian of a long table is the largest array
         white = residual[entry, channel] / sigma
-        if any(self.wander):
-            whitened = self.innovations(rows, entry, channel)
-            whitened(white[:, None])
-            whitened(columns)
+        without_level = self.without_level(rows, entry, channel)
+        if without_level is not None:
+            without_level(white[:, None])
+            without_level(columns)
         return Whitened(white, columns, entry, channel)
 
-    def innovations(self, rows: Rows, entry: Integers, channel: Integers) -> Callable[[Array], Array]:
-        """What takes from columns of poses, in place, what the wandering level before each number predicts of it.
+    def without_level(self, rows: Rows, entry: Integers, channel: Integers) -> Callable[[Array], Array] | None:
+        """What takes the wandering level of poses from columns, in place; None if they have none.
 
         The columns ``(M, k)`` are in units of the noise; ``entry`` and ``channel`` ``(M,)`` are row and channel of each
         of their numbers.
         """
-        numbers = np.flatnonzero(self.wander).tolist()
-        channels = [
-            (own := np.flatnonzero(channel == c), course_of(rows, entry[own]).filter(self.wander[c])) for c in numbers
-        ]
+        if self.level is None:
+            return None
+        numbers = [np.flatnonzero(channel == c) for c in POSE_CHANNELS[0]]
+        filters = [(own, waves_of(rows, entry[own]).filter(self.level)) for own in numbers if len(own)]
 
         def taken(columns: Array) -> Array:
-            for own, filtered in channels:
-                columns[own] = filtered(columns[own])
+            for own, without in filters:
+                columns[own] = without(columns[own])
             return columns
 
         return taken
@@ -239,26 +235,19 @@ class Noise:
         whitener = Whitener(groups.row, groups.stretch)
         means, entry = groups.mean(out), self._middle(rows, index)
         predictors = Predictors(self.autocorrelations[channel])
-        if not self.one_level:
-            return self._without_wander(rows, channel, entry, whitener(means, predictors))
+        if self.level is None:
+            return whitener(means, predictors)
+        if not self.level.goes_on:
+            return waves_of(rows, entry).filter(self.level)(whitener(means, predictors))
         both = whitener(np.c_[means, np.ones(len(means))], predictors)  # a constant level passes the same filter
-        return self._without_wander(rows, channel, entry, both[:, :-1], both[:, -1])
+        return waves_of(rows, entry, both[:, -1]).filter(self.level)(both[:, :-1])
 
     def shown_level(self, rows: Rows, channel: int) -> Array:
         """How much the prewhitened numbers of a channel show of a constant level ``(k,)``: in poses all of it.
 
         The filter lets through another share of a level just after a stop of the motor, where it has fewer rows before.
         """
-        short = replace(self, wander=(), one_level=False)
-        return short.whiten_channel(rows, channel, self.sigma[:, channel, None])[:, 0]
-
-    def _without_wander(
-        self, rows: Rows, channel: int, entry: Integers, white: Array, shown: Array | None = None
-    ) -> Array:
-        """Innovations of whitened columns ``(k, c)`` of one channel, given its random-walk level as it is shown."""
-        if not self.wander or self.wander[channel] == 0.0:
-            return white
-        return course_of(rows, entry, shown).filter(self.wander[channel])(white)
+        return replace(self, level=None).whiten_channel(rows, channel, self.sigma[:, channel, None])[:, 0]
 
     def _middle(self, rows: Rows, index: Integers) -> Integers:
         """The row of each whitened value ``(g,)``: the used row itself, or the middle row of a group."""

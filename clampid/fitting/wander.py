@@ -1,135 +1,189 @@
-"""Random-walk noise of a reading, such as the drift of a sensor's zero or of a tracker: the local level model.
+"""Slow noise of a reading, such as the drift of a sensor's zero or of a tracker: a level that wanders at random.
 
-Besides white noise, a channel has a level that is a random walk: y_i = l_i + e_i, l_i = l_{i-1} + w_i, where w has the
-variance q per step in units of the variance of e. The innovations are independent: the difference of each number to its
-prediction from the numbers before it, over the standard deviation of this difference. They are linear in y, so residual
-and Jacobian pass the same filter. A column that changes as slowly as the level then explains little. The variance q is
-estimated by restricted likelihood, with everything that may explain the residual as regressors.
+Besides white noise, a channel has a level whose variance falls with a power of the frequency: the first for flicker
+noise (1/f), as of electronics and temperatures; the second for a random walk, the sum of independent steps. Over a
+session the level is a sum of half waves, cos(pi k t / T), whose independent amplitudes have variances in proportion to
+1 / k^p. For the random walk about its mean this is the Karhunen-Loeve expansion. The covariance of the numbers is
+I + B V B', B the waves and V their variances. Its inverse square root takes out of residual and Jacobian what they have
+in common with the waves, the more the larger the wave. A column that changes as slowly as the level then explains
+little. Variance and power are estimated by restricted likelihood, with everything that may explain the residual as
+regressors.
 
-Sources: Durbin & Koopman, Time Series Analysis by State Space Methods (2012), chapter 2 (local level model); Patterson
-& Thompson, Recovery of inter-block information when block sizes are unequal, Biometrika 58, 1971 (restricted
-likelihood); Self & Liang, J. Am. Stat. Assoc. 82, 1987 (likelihood ratio for a variance that may be zero: half a
-chi-square with 1 degree of freedom).
+Sources: Rasmussen & Williams, Gaussian Processes for Machine Learning (2006), appendix A.3 (inverse and determinant of
+such a covariance); Van Trees, Detection, Estimation, and Modulation Theory I (1968), section 3.4 (expansion of a random
+walk); Patterson & Thompson, Recovery of inter-block information when block sizes are unequal, Biometrika 58, 1971
+(restricted likelihood); Self & Liang, J. Am. Stat. Assoc. 82, 1987 (likelihood ratio for a variance that may be zero:
+half a chi-square with 1 degree of freedom).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy import interpolate, linalg, stats
 
-from clampid.stages.presliding import recurrence
 from clampid.stages.rows import Array, Integers, Rows
 
-__all__ = ["WANDER_FALSE_ALARMS", "Course", "Filter", "Wander", "course_of", "in_time", "wander_of"]
+__all__ = [
+    "FLICKER",
+    "RANDOM_WALK",
+    "WANDER_FALSE_ALARMS",
+    "Filter",
+    "Level",
+    "Wander",
+    "Waves",
+    "in_time",
+    "larger",
+    "wander_of",
+    "waves_of",
+]
 
-WANDER_FALSE_ALARMS = 0.01  # probability that a random walk is found in a reading without one
-UPPER_LIMIT_CHANCE = 0.05  # probability that q exceeds its upper limit; 9 % in logs of some hundred rows
+WANDER_FALSE_ALARMS = 0.01  # probability that slow noise is found in a reading without any
+UPPER_LIMIT_CHANCE = 0.05  # probability that v exceeds its upper limit; 9 % in logs of some hundred rows
 FINE_STEPS = 1000  # points of the interpolated likelihood
-STEP_VARIANCES = (0.0, *(float(10.0**k) for k in np.arange(-7.0, 0.6, 0.5)))
+FLICKER, RANDOM_WALK = 1, 2  # power of the frequency by which the variance falls
+VARIANCES = tuple(float(10.0**k) for k in np.arange(-4.0, 4.1, 0.5))
+# Of the gain of flicker noise, that a walk has at least: in nine of ten simulated readings, or all if it is strong.
+SEEN_BY_A_WALK = 0.75
+MOST_WAVES = 200  # of a channel; faster ones have less of the level than of white noise
+ANYWHERE = 6.0  # variance of the level's mean over that about the mean: as after a random walk of the same length
+TAKES_NOTHING = 1e-4  # variance of a direction of the level, over that of a number, below which it is left out
 INDEPENDENT = 1e-8  # of a column's length: with a smaller part outside the other columns it is linearly dependent
 
 
 @dataclass(frozen=True)
-class Course:
-    """The order in time of a channel's numbers, and the steps of the random walk between them.
+class Level:
+    """The slow noise of some channels.
 
     Attributes
     ----------
-    order
-        Indices of the numbers in their order in time ``(k,)``.
-    steps
-        Steps since the number before ``(k,)``. The first number of a session has as many steps as the whole course.
-    shown
-        How much of the level each number shows ``(k,)``; None: all of it.
+    variance
+        Of the level about its mean, over the longest session, in units of the variance of a number.
+    power
+        Of the frequency, by which it falls: :data:`FLICKER` or :data:`RANDOM_WALK`.
+    goes_on
+        Of a log: whether the level goes on over all stretches of rows that count, as seen through the filter of the
+        noise. Otherwise its jumps at the beginning of each stretch are left to the candidates.
     """
 
-    order: Integers
-    steps: Array
-    shown: Array | None = None
+    variance: float
+    power: int
+    goes_on: bool = False
 
-    def innovations(self, values: Array, wander: float) -> tuple[Array, Array]:
-        """Innovations ``(k, c)`` of columns ``values`` ``(k, c)``, and logarithms of their variances ``(k,)``.
+    def of_waves(self, order: Array, share: Array) -> Array:
+        """Variance ``(w,)`` of each wave, whose mean square over its session is 1.
 
-        ``wander``: variance of the level per step, in units of the variance of a number.
+        Parameters
+        ----------
+        order
+            ``(w,)``: how many half waves there are over the session; 0: its mean.
+        share
+            ``(w,)``: length of the wave's session over that of the longest.
         """
-        found = self.filter(wander)
-        return found(values), np.log(found.variance)
+        falls = np.maximum(order, 1.0) ** -self.power
+        whole = np.sum(np.arange(1.0, max(order.max(initial=1.0), 1.0) + 1.0) ** -self.power)
+        return np.asarray(self.variance * np.where(order > 0.0, share ** (self.power - 1) * falls / whole, ANYWHERE))
 
-    def filter(self, wander: float) -> Filter:
-        """What makes innovations of columns, for one variance per step."""
-        shown = (np.ones(len(self.order)) if self.shown is None else self.shown)[self.order]
-        gains, spreads, variance, wander = list[float](), list[float](), 0.0, float(wander)
-        # Plain numbers: those of numpy take three times as long one by one.
-        for step, share in zip(self.steps.tolist(), shown.tolist(), strict=True):
-            variance += wander * step
-            larger = share * share * variance + 1.0
-            gains.append(variance * share / larger)
-            spreads.append(larger)
-            variance /= larger  # (1 - gain share) variance
-        return Filter(self.order, shown, np.array(gains), np.array(spreads))
+
+def larger(*levels: Level | None) -> Level | None:
+    """The level of the largest variance; None if there is none."""
+    return max((level for level in levels if level is not None), key=lambda level: level.variance, default=None)
+
+
+@dataclass(frozen=True)
+class Waves:
+    """The half waves of which a channel's level consists.
+
+    Attributes
+    ----------
+    columns
+        ``(k, w)``, as each number shows them.
+    order
+        ``(w,)``: how many half waves there are over the session; 0: its mean.
+    share
+        ``(w,)``: length of the wave's session over that of the longest.
+    """
+
+    columns: Array
+    order: Array
+    share: Array
+
+    @staticmethod
+    def of(count: int, pieces: Sequence[tuple[Integers, Array]], shown: Array | None = None) -> Waves:
+        """The waves of some pieces of ``count`` numbers, each with a level of its own.
+
+        Parameters
+        ----------
+        pieces
+            Of each piece which numbers it has ``(n,)``, and their places in time ``(n,)``, in steps.
+        shown
+            ``(k,)``: how much of the level each number shows; None: all of it.
+        """
+        lengths = [float(np.ptp(at)) + 1.0 for _, at in pieces]
+        found, order, share = [np.zeros((count, 0))], [np.zeros(0)], [np.zeros(0)]
+        for (own, at), length in zip(pieces, lengths, strict=True):
+            k = np.arange(1.0 + min(len(np.unique(at)) - 1, round(MOST_WAVES * len(own) / count)))
+            turns = (at - at.min() + 0.5)[:, None] * k / length  # half a step before the first to half a step after
+            part = np.zeros((count, len(k)))
+            part[own] = np.where(k > 0.0, np.sqrt(2.0), 1.0) * np.cos(np.pi * turns)
+            found.append(part)
+            order.append(k)
+            share.append(np.full(len(k), length / max(lengths)))
+        columns = np.hstack(found)
+        return Waves(
+            columns if shown is None else columns * shown[:, None], np.concatenate(order), np.concatenate(share)
+        )
+
+    def filter(self, level: Level) -> Filter:
+        """What takes a level out of columns."""
+        B = self.columns * np.sqrt(level.of_waves(self.order, self.share))
+        values, vectors = np.linalg.eigh(B.T @ B)
+        shown = values > TAKES_NOTHING
+        length = np.sqrt(values[shown])
+        return Filter(B @ vectors[:, shown] / length, 1.0 - 1.0 / np.sqrt(1.0 + values[shown]))
 
 
 @dataclass(frozen=True)
 class Filter:
-    """The Kalman filter of a local level, which predicts each number from those before it.
+    """The inverse square root of a covariance I + B V B', as the part that it takes of each direction of B.
 
     Attributes
     ----------
-    order
-        Indices of the numbers in their order in time ``(k,)``; all others are in this order.
-    shown
-        How much of the level each number shows ``(k,)``.
-    gain
-        Change of the level by each number ``(k,)``, per unit of what was not predicted.
-    variance
-        Variance ``(k,)`` of what was not predicted, in units of that of a number.
+    directions
+        ``(k, r)``, orthonormal.
+    taken
+        ``(r,)``, from 0 to 1.
     """
 
-    order: Integers
-    shown: Array
-    gain: Array
-    variance: Array
+    directions: Array
+    taken: Array
 
     def __call__(self, values: Array) -> Array:
-        """Innovations ``(k, c)`` of columns ``values`` ``(k, c)``, of unit variance."""
-        x = values[self.order]
-        level = recurrence((1.0 - self.gain * self.shown)[:, None], self.gain[:, None] * x)
-        x[1:] -= self.shown[1:, None] * level[:-1]
-        x /= np.sqrt(self.variance)[:, None]
-        out = np.empty_like(x)
-        out[self.order] = x
-        return out
+        """Columns ``(k, c)`` without the level: noise of unit variance, independent."""
+        return np.asarray(values - self.directions @ (self.taken[:, None] * (self.directions.T @ values)))
 
 
-def course_of(rows: Rows, entry: Integers, shown: Array | None = None) -> Course:
-    """The course of one channel's numbers in the rows ``entry`` ``(k,)``, and how they show its level.
+def waves_of(rows: Rows, entry: Integers, shown: Array | None = None) -> Waves:
+    """The waves of one channel's numbers in the rows ``entry`` ``(k,)``.
 
-    In poses, a step is one visit. In logs, a step is the median time between two numbers.
+    Each session has a level of its own, and so has what comes after a pause that is longer than all that was measured.
+    Poses are counted by visits, logs by time. ``shown`` ``(k,)``: how much of the level each number shows; None: all.
     """
-    time, count = rows.constants.time[entry], len(entry)
-    if count == 0:
-        return Course(np.zeros(0, dtype=np.int64), np.zeros(0))
-    if rows.kind.points:
-        visit = np.zeros(count, dtype=np.int64)
-        for s in np.unique(rows.session[entry]):
-            own = rows.session[entry] == s
+    count, pieces = len(entry), list[tuple[Integers, Array]]()
+    for s in np.unique(rows.session[entry]):
+        own = np.flatnonzero(rows.session[entry] == s)
+        if rows.kind.points:
             which, number = in_time(rows, entry[own])
-            visit[own] = number[which]
-        order = np.lexsort((entry, visit, rows.session[entry]))
-        steps = np.diff(visit[order], prepend=0).astype(float)
-        whole = float(visit.max() + 1)
-    else:
-        order = np.lexsort((entry, time, rows.session[entry]))
-        between = np.diff(time[order], prepend=time[order[0]])
-        usual = float(np.median(between[between > 0.0])) if np.any(between > 0.0) else 1.0
-        steps, whole = np.maximum(between / usual, 0.0), float(count)
-    begins = np.diff(rows.session[entry][order], prepend=-1) != 0
-    steps = np.where(begins, whole, np.minimum(steps, whole))
-    return Course(order, steps, shown)
+            pieces.append((own, number[which].astype(float)))
+            continue
+        time, which = np.unique(rows.constants.time[entry[own]], return_inverse=True)
+        step = np.diff(time) / (np.median(np.diff(time)) if len(time) > 1 else 1.0)
+        begins = np.r_[0, np.cumsum(step > count)]
+        at = np.r_[0.0, np.cumsum(step)]
+        pieces += [(own[begins[which] == k], at[which][begins[which] == k]) for k in range(begins[-1] + 1)]
+    return Waves.of(count, pieces, shown)
 
 
 def in_time(rows: Rows, index: Integers) -> tuple[Integers, Integers]:
@@ -140,71 +194,113 @@ def in_time(rows: Rows, index: Integers) -> tuple[Integers, Integers]:
     return visit, np.argsort(np.argsort(time, kind="stable"))
 
 
-class Wander(NamedTuple):
-    """The random walk of a level.
+@dataclass(frozen=True)
+class Wander:
+    """The slow noise that some channels show.
 
     Attributes
     ----------
-    variance
-        Upper limit of a one-sided confidence interval of the variance per step, in units of the variance of a number.
-        A log has few independent stretches of a slow level, so the likeliest variance may be much too small. Slow
-        changes would then look significant by chance.
+    level
+        Its variance is the upper limit of a one-sided confidence interval. A log has few independent stretches of a
+        slow level, so the likeliest variance may be much too small. Slow changes would then look significant by chance.
     gain
-        Twice the gain of the log likelihood over no random walk.
+        Twice the gain of the log likelihood by a random walk over white noise.
     """
 
-    variance: float
+    level: Level
     gain: float
 
 
-def wander_of(courses: Sequence[Course], residuals: Sequence[Array], columns: Sequence[Array]) -> Wander:
-    """The random walk that the levels of some channels share; zero if it is not significant.
+def wander_of(
+    waves: Sequence[Waves], residuals: Sequence[Array], columns: Sequence[Array], *, flickers: bool
+) -> Wander | None:
+    """The level that some channels have, each its own, of one variance and power; None if it is not significant.
 
     Parameters
     ----------
-    courses
-        Course of each channel.
+    waves
+        Of each channel.
     residuals, columns
         For each channel the whitened numbers ``(k,)``, and the p regressors that may explain them ``(k, p)``.
+    flickers
+        Whether the level may be flicker noise instead of a random walk.
 
     Returns
     -------
-    Wander
-        Not zero only if the likelihood ratio is significant at :data:`WANDER_FALSE_ALARMS`.
+    Wander or None
+        Found if the likelihood ratio of a random walk is significant at :data:`WANDER_FALSE_ALARMS`. Flicker noise may
+        imitate what a model lacks at the frequencies of the motion. But of its own gain a random walk has nearly all,
+        so that it is only an alternative where this holds.
     """
-    basis = _basis(np.vstack(columns))
-    whole = np.c_[basis, np.concatenate(residuals)]
-    freedom = len(whole) - basis.shape[1]
-    if freedom < 2:
-        return Wander(0.0, 0.0)
-    parts = np.split(whole, np.cumsum([len(r) for r in residuals])[:-1])
+    likelihood = _Likelihood.of(waves, residuals, columns)
+    if likelihood.freedom < 2:
+        return None
+    white = likelihood.minus_two_log(None)
+    by_power = {RANDOM_WALK: [likelihood.minus_two_log(Level(v, RANDOM_WALK)) for v in VARIANCES]}
+    gain = white - min(by_power[RANDOM_WALK])
+    if not gain > stats.chi2.isf(2.0 * WANDER_FALSE_ALARMS, 1):
+        return None
+    if flickers:
+        flicker = [likelihood.minus_two_log(Level(v, FLICKER)) for v in VARIANCES]
+        if gain >= SEEN_BY_A_WALK * (white - min(flicker)):
+            by_power[FLICKER] = flicker
+    power = min(by_power, key=lambda p: min(by_power[p]))
+    return Wander(Level(_upper_limit(by_power[power]), power), gain)
 
-    def minus_two_log(wander: float) -> float:
+
+@dataclass(frozen=True)
+class _Channel:
+    """What the likelihood needs of a channel's numbers W ``(k, m)`` and waves B ``(k, w)``."""
+
+    waves: Waves
+    gram: Array  # B'B (w, w)
+    shared: Array  # B'W (w, m)
+
+    def part(self, level: Level) -> tuple[Array, float]:
+        """What a level takes of W'W ``(m, m)``, and the logarithm of the covariance's determinant."""
+        size = np.sqrt(level.of_waves(self.waves.order, self.waves.share))
+        lower = linalg.cholesky(np.eye(len(size)) + size[:, None] * self.gram * size, lower=True, check_finite=False)
+        taken = linalg.solve_triangular(lower, size[:, None] * self.shared, lower=True, check_finite=False)
+        return taken.T @ taken, 2.0 * float(np.sum(np.log(np.diag(lower))))
+
+
+@dataclass(frozen=True)
+class _Likelihood:
+    """The restricted likelihood of channels' numbers, beside regressors."""
+
+    channels: tuple[_Channel, ...]
+    moments: Array  # W'W (m, m) of all channels: of a basis of the regressors, and of the numbers
+    freedom: int
+
+    @staticmethod
+    def of(waves: Sequence[Waves], residuals: Sequence[Array], columns: Sequence[Array]) -> _Likelihood:
+        """Parameters as of :func:`wander_of`."""
+        basis = _basis(np.vstack(columns))
+        whole = np.c_[basis, np.concatenate(residuals)]
+        parts = np.split(whole, np.cumsum([len(r) for r in residuals])[:-1])
+        channels = (_Channel(w, w.columns.T @ w.columns, w.columns.T @ x) for w, x in zip(waves, parts, strict=True))
+        return _Likelihood(tuple(channels), whole.T @ whole, len(whole) - basis.shape[1])
+
+    def minus_two_log(self, level: Level | None) -> float:
         """-2 log of the restricted likelihood, up to a constant."""
-        moments, spread = np.zeros((whole.shape[1], whole.shape[1])), 0.0
-        for course, part in zip(courses, parts, strict=True):
-            found, logs = course.innovations(part, wander)
-            moments += found.T @ found
-            spread += float(logs.sum())
+        moments, spread = self.moments.copy(), 0.0
+        if level is not None:
+            for channel in self.channels:
+                taken, logs = channel.part(level)
+                moments -= taken
+                spread += logs
         # The factor is of [Q r]: its last diagonal entry is the length of r outside Q, the others give det Q'Q.
         length = np.maximum(np.abs(np.diag(_factor(moments))), 1e-150)
         determinant = 2.0 * float(np.sum(np.log(length[:-1])))
-        return float(freedom * 2.0 * np.log(length[-1]) + spread + determinant)
-
-    values = [minus_two_log(wander) for wander in STEP_VARIANCES]
-    best = int(np.argmin(values))
-    gain = values[0] - values[best]
-    if not gain > stats.chi2.isf(2.0 * WANDER_FALSE_ALARMS, 1):
-        return Wander(0.0, 0.0)
-    return Wander(_upper_limit(values[1:]), gain)
+        return float(self.freedom * 2.0 * np.log(length[-1]) + spread + determinant)
 
 
 def _upper_limit(minus_two_log: Sequence[float]) -> float:
     """The largest variance that the likelihood ratio does not reject at :data:`UPPER_LIMIT_CHANCE`, one-sided.
 
-    ``minus_two_log``: -2 log of the likelihood at each of :data:`STEP_VARIANCES` but the first; splines in between.
+    ``minus_two_log``: -2 log of the likelihood at each of :data:`VARIANCES`; splines in between.
     """
-    at = np.log10(STEP_VARIANCES[1:])
+    at = np.log10(VARIANCES)
     fine = np.linspace(at[0], at[-1], FINE_STEPS)
     value = interpolate.CubicSpline(at, minus_two_log)(fine)
     allowed = value <= value.min() + stats.chi2.isf(2.0 * UPPER_LIMIT_CHANCE, 1)

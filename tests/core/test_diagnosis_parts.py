@@ -25,6 +25,7 @@ from clampid.evidence.score import Scored, canonical, score
 from clampid.evidence.space import space_of
 from clampid.fitting.accuracy import FOLDS, cross_validated
 from clampid.fitting.solve import solve
+from clampid.fitting.wander import RANDOM_WALK, Level
 from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import ModelOnCampaign, on_campaign
@@ -250,13 +251,14 @@ def test_a_candidate_scored_beside_wandering_readings_is_stepped_to_in_the_noise
     fitted = opened.refit("poses")
     bench = bench_of(opened, fitted, refits(opened))
     estimate = fitted.estimate
-    wandering = whitened_by(estimate, replace(estimate.noise, wander=(0.05,) * estimate.residual.shape[1]))
+    level = Level(0.5, RANDOM_WALK)
+    wandering = whitened_by(estimate, replace(estimate.noise, level=level))
     space = space_of(wandering)
     named = score(space, named_candidates(wandering, catalogue(), set()))
     (other,) = (s for s in named if s.candidate.label == "gear_eccentricity@joint2")
     (same,) = (s for s in bench.scores(fitted, 0).named if s.candidate.label == other.candidate.label)
     assert bench.alone(fitted, other) == pytest.approx(bench.alone(fitted, same), rel=1e-6)
-    beside = replace(bench.scores(fitted, 0), space=space, named=named, wander=0.05, noise_of_fit=False)
+    beside = replace(bench.scores(fitted, 0), space=space, named=named, wander=level, noise_of_fit=False)
     step, known, bare = _step(other, beside, fitted), step_towards(estimate, same), step_towards(estimate, other)
     assert step is not None
     assert known is not None

@@ -21,7 +21,7 @@ from clampid.evidence.score import score
 from clampid.evidence.space import space_of
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
-from clampid.fitting.wander import Course, course_of, wander_of
+from clampid.fitting.wander import FLICKER, RANDOM_WALK, Level, Waves, wander_of, waves_of
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.slots import Slot
@@ -30,36 +30,57 @@ from experiments.campaign import Campaign, read_campaign
 from experiments.second_world import draw_robot, measure
 
 N = 300
+COUNT = 40
 
 
-def course(count: int = N) -> Course:
-    return Course(np.arange(count), np.r_[float(count), np.ones(count - 1)])
+def waves(count: int = N) -> Waves:
+    return Waves.of(count, [(np.arange(count), np.arange(float(count)))])
 
 
 def walk(rng: np.random.Generator, wander: float, count: int = N) -> np.ndarray:
     return rng.standard_normal(count) + np.cumsum(np.sqrt(wander) * rng.standard_normal(count))
 
 
-def test_innovations_are_those_of_the_whole_covariance() -> None:
-    """A lower-triangular factor of I + q min(i, j), with the first level as uncertain as the whole course."""
-    rng, wander, count = np.random.default_rng(1), 0.03, 40
-    x = rng.standard_normal((count, 3))
-    found, spread = course(count).innovations(x, wander)
-    steps = np.r_[float(count), np.ones(count - 1)].cumsum()
-    covariance = np.eye(count) + wander * np.minimum.outer(steps, steps)
-    lower = np.linalg.cholesky(covariance)
-    np.testing.assert_allclose(found, np.linalg.solve(lower, x), atol=1e-10)
-    assert spread.sum() == pytest.approx(np.linalg.slogdet(covariance)[1])
+def pink(rng: np.random.Generator, variance: float, count: int = N) -> np.ndarray:
+    """White noise, and a part of a series eight times as long whose spectrum falls as 1/f."""
+    frequency = np.fft.rfftfreq(8 * count)
+    frequency[0] = np.inf
+    long = np.fft.irfft(np.fft.rfft(rng.standard_normal(8 * count)) / np.sqrt(frequency))
+    slow = long[:count] - long[:count].mean()
+    return rng.standard_normal(count) + np.sqrt(variance) * slow / slow.std()
 
 
-def test_innovations_where_numbers_show_different_shares_of_the_level() -> None:
-    rng, wander, count = np.random.default_rng(10), 0.03, 40
-    x, shown = rng.standard_normal((count, 3)), rng.uniform(0.4, 1.8, count)
-    found, spread = Course(np.arange(count), course(count).steps, shown).innovations(x, wander)
-    steps = course(count).steps.cumsum()
-    covariance = np.eye(count) + wander * np.outer(shown, shown) * np.minimum.outer(steps, steps)
-    np.testing.assert_allclose(found, np.linalg.solve(np.linalg.cholesky(covariance), x), atol=1e-10)
-    assert spread.sum() == pytest.approx(np.linalg.slogdet(covariance)[1])
+def covariance_of(filtered: Waves, level: Level) -> np.ndarray:
+    B = filtered.columns
+    return np.eye(len(B)) + (B * level.of_waves(filtered.order, filtered.share)) @ B.T
+
+
+@pytest.mark.parametrize("power", [FLICKER, RANDOM_WALK])
+@pytest.mark.parametrize("shares", [False, True])
+def test_the_filter_is_the_inverse_square_root_of_the_whole_covariance(power: int, shares: bool) -> None:
+    """Of two pieces, and where numbers show different shares of the level."""
+    rng, level = np.random.default_rng(1), Level(0.7, power)
+    shown = rng.uniform(0.4, 1.8, COUNT) if shares else None
+    pieces = [(np.arange(25), np.sort(rng.uniform(0.0, 40.0, 25))), (np.arange(25, COUNT), np.arange(15.0))]
+    own = Waves.of(COUNT, pieces, shown)
+    found = own.filter(level)(np.eye(COUNT))
+    np.testing.assert_allclose(found, found.T, atol=1e-10)
+    np.testing.assert_allclose(found @ covariance_of(own, level) @ found, np.eye(COUNT), atol=2e-4)
+
+
+def test_a_random_walk_about_its_mean_has_the_covariance_of_its_waves() -> None:
+    about = np.eye(COUNT) - 1.0 / COUNT
+    steps = np.arange(1.0, COUNT + 1.0)
+    expected = about @ np.minimum.outer(steps, steps) @ about
+    found = covariance_of(waves(COUNT), Level(np.trace(expected) / COUNT, RANDOM_WALK))
+    np.testing.assert_allclose(about @ (found - np.eye(COUNT)) @ about, expected, atol=0.02 * expected.max())
+
+
+@pytest.mark.parametrize("power", [FLICKER, RANDOM_WALK])
+def test_the_variance_of_a_level_is_that_about_its_mean(power: int) -> None:
+    own, about = waves(COUNT), np.eye(COUNT) - 1.0 / COUNT
+    level = about @ (covariance_of(own, Level(0.7, power)) - np.eye(COUNT)) @ about
+    assert np.trace(level) / COUNT == pytest.approx(0.7)
 
 
 def test_a_level_that_starts_anywhere_leaves_nothing_of_an_offset_at_any_stop() -> None:
@@ -67,67 +88,83 @@ def test_a_level_that_starts_anywhere_leaves_nothing_of_an_offset_at_any_stop() 
     count, stops = 600, np.arange(600) % 60 < 12
     shown = np.where(stops, 1.0, 1.6)
     offset = shown[:, None]  # as it is once filtered
-    through = Course(np.arange(count), course(count).steps, shown).innovations(offset, 1e-2)[0]
-    of_one = course(count).innovations(offset, 1e-2)[0]
+    level = Level(1.0, RANDOM_WALK)
+    through = Waves.of(count, [(np.arange(count), np.arange(float(count)))], shown).filter(level)(offset)
     assert np.sum(through**2) < 1.0  # in units of the noise's variance, of 1000
-    assert np.sum(of_one**2) > 10.0
+    assert np.sum(waves(count).filter(level)(offset) ** 2) > 10.0
 
 
 def test_numbers_are_filtered_in_the_order_of_time() -> None:
-    rng = np.random.default_rng(2)
+    rng, level = np.random.default_rng(2), Level(0.5, RANDOM_WALK)
     x, turned = rng.standard_normal((N, 2)), rng.permutation(N)
-    straight, _ = course().innovations(x, 0.01)
-    back = np.argsort(turned)
-    other, _ = Course(back, course().steps).innovations(x[turned], 0.01)
-    np.testing.assert_allclose(other, straight[turned])
+    other = Waves.of(N, [(np.arange(N), turned.astype(float))])
+    np.testing.assert_allclose(other.filter(level)(x[turned]), waves().filter(level)(x)[turned])
 
 
 def test_white_noise_is_said_to_wander_once_in_a_hundred_times() -> None:
     rng, columns = np.random.default_rng(3), np.random.default_rng(4).standard_normal((N, 10))
-    said = sum(wander_of([course()], [walk(rng, 0.0)], [columns]).variance > 0.0 for _ in range(300))
+    said = sum(wander_of([waves()], [walk(rng, 0.0)], [columns], flickers=True) is not None for _ in range(300))
     assert said <= 9  # of a binomial of 300 and 0.01, more has a chance of 0.1 %
 
 
-def test_a_walk_is_found_beside_columns_and_its_size_too() -> None:
+@pytest.mark.parametrize(("draw", "power", "wander"), [(walk, RANDOM_WALK, 1e-2), (pink, FLICKER, 2.0)])
+def test_slow_noise_is_found_beside_columns_and_its_size_too(
+    draw: Callable[[np.random.Generator, float], np.ndarray], power: int, wander: float
+) -> None:
     rng, columns = np.random.default_rng(5), np.random.default_rng(6).standard_normal((N, 10))
-    found = [wander_of([course()], [walk(rng, 1e-2)], [columns]).variance for _ in range(40)]
-    assert np.mean(np.array(found) > 0.0) > 0.95
-    assert 3e-3 < np.median(found) < 3e-2
+    true = wander * N / 6.0 if power == RANDOM_WALK else wander  # of a walk: mean over its realisations
+    found = [wander_of([waves()], [draw(rng, wander)], [columns], flickers=True) for _ in range(40)]
+    levels = [f.level for f in found if f is not None]
+    assert len(levels) > 0.95 * len(found)
+    assert np.mean([level.power == power for level in levels]) > 0.6
+    assert 0.5 * true < np.median([level.variance for level in levels if level.power == power]) < 4.0 * true
+
+
+def test_what_a_model_lacks_at_the_frequencies_of_the_motion_is_no_flicker_noise() -> None:
+    """Sixty sines and a weak walk: flicker noise is likelier, but a walk has less than three quarters of its gain."""
+    rng, count = np.random.default_rng(11), 2000
+    time = np.arange(float(count)) / count
+    lacking = sum(0.1 * np.sin(2.0 * np.pi * k * time + rng.uniform(0.0, 6.0)) for k in range(20, 80))
+    found = wander_of([waves(count)], [walk(rng, 3e-5, count) + lacking], [np.ones((count, 1))], flickers=True)
+    assert found is not None
+    assert found.level.power == RANDOM_WALK
 
 
 def test_a_level_wanders_less_than_it_is_taken_to_in_nine_of_ten_logs() -> None:
     """The likelihood ratio promises nineteen of twenty, for logs that are much longer."""
-    rng, columns, true = np.random.default_rng(8), np.random.default_rng(9).standard_normal((N, 10)), 1e-2
-    found = np.array([wander_of([course()], [walk(rng, true)], [columns]).variance for _ in range(200)])
-    assert np.sum(found >= true) >= 168  # of a binomial of 200 and 0.9, less has a chance of 0.5 %
-    assert np.median(found) < 6.0 * true
+    rng, columns, q = np.random.default_rng(8), np.random.default_rng(9).standard_normal((N, 10)), 1e-2
+    found = [wander_of([waves()], [walk(rng, q)], [columns], flickers=True) for _ in range(200)]
+    walks = [f.level.variance for f in found if f is not None and f.level.power == RANDOM_WALK]
+    assert len(walks) > 150
+    assert np.mean(np.array(walks) >= q * N / 6.0) >= 0.84  # of a binomial of 200 and 0.9, less has a chance of 0.5 %
+    assert np.median(walks) < 6.0 * q * N / 6.0
 
 
 def test_what_a_column_says_does_not_wander() -> None:
     rng = np.random.default_rng(7)
     trend = np.linspace(0.0, 1.0, N)[:, None]
     y = rng.standard_normal(N) + 5.0 * trend[:, 0]
-    assert wander_of([course()], [y], [np.zeros((N, 0))]).variance > 0.0
-    assert wander_of([course()], [y], [trend]).variance == 0.0
+    assert wander_of([waves()], [y], [np.zeros((N, 0))], flickers=True) is not None
+    assert wander_of([waves()], [y], [trend], flickers=True) is None
 
 
-@pytest.mark.parametrize(("stage", "one_level"), [("free_air", True), ("free_air", False), ("poses", True)])
-def test_residual_and_columns_pass_one_filter(simulated: Callable[..., Campaign], stage: str, one_level: bool) -> None:
+@pytest.mark.parametrize(("stage", "goes_on"), [("free_air", True), ("free_air", False), ("poses", True)])
+def test_residual_and_columns_pass_one_filter(simulated: Callable[..., Campaign], stage: str, goes_on: bool) -> None:
     campaign = simulated(seed=3, poses=40, tables=("free_air", "wrist", "poses"))
     opened = on_campaign(identify(campaign), campaign)
     estimate = opened.refit(stage, opened.rows(stage)).estimate
     rows = estimate.problem.rows
     residual, jacobian = estimate.problem.residual(estimate.theta)
     plain = Noise(estimate.noise.sigma, estimate.noise.autocorrelations, estimate.noise.together)
-    count = rows.measured.shape[1]
-    wandering = replace(plain, wander=(1e-3,) * count, one_level=one_level)
+    level = Level(0.5, FLICKER, goes_on)
+    wandering = replace(plain, level=level)
     white, found = plain.whiten(rows, residual, jacobian), wandering.whiten(rows, residual, jacobian)
     np.testing.assert_array_equal(found.entry, white.entry)
     for channel in np.unique(white.channel):
         own = white.channel == channel
         both = np.c_[white.residual[own], white.jacobian[own]]
-        shown = plain.shown_level(rows, int(channel)) if one_level else None
-        expected = course_of(rows, white.entry[own], shown).innovations(both, 1e-3)[0]
+        shown = plain.shown_level(rows, int(channel)) if goes_on else None
+        expected = waves_of(rows, white.entry[own], shown).filter(level)(both)
         np.testing.assert_allclose(np.c_[found.residual[own], found.jacobian[own]], expected, atol=1e-9)
 
 
@@ -137,7 +174,7 @@ def test_probes_and_bumps_pass_the_filter_after_they_are_formed(simulated: Calla
     opened = on_campaign(identify(campaign), campaign)
     estimate = opened.refit("poses", opened.rows("poses")).estimate
     problem, rows = estimate.problem, estimate.problem.rows
-    noise = replace(estimate.noise, wander=(0.3,) * rows.measured.shape[1])
+    noise = replace(estimate.noise, level=Level(2.0, RANDOM_WALK))
     wandering = whitened_by(estimate, noise)
     count, q = len(wandering.whitened.residual), rows.signals["q"][:, 2]
     _, by_station = poses.by_station(rows, poses.evaluate(rows, problem.chain, estimate.theta[: len(problem.slots)]))
@@ -252,8 +289,7 @@ def test_a_smooth_swing_of_the_instrument_is_no_wandering(tmp_path: Path) -> Non
     opened = on_campaign(identify(campaign), campaign)
     estimate = opened.refit("poses", opened.rows("poses")).estimate
     assert with_wander(estimate, []) is None
-    steady = lasting(estimate)
-    assert wander_of(*steady).variance > 0.0  # as a walk it would be seen
+    assert wander_of(*lasting(estimate), flickers=False) is not None  # as slow noise it would be seen
 
 
 @pytest.mark.slow
@@ -265,15 +301,15 @@ def test_what_several_motors_of_a_real_arm_lack_is_no_wandering(shared_folder: P
     scores = scores_of(estimate, dict(opened.effects), flips=199, seed=0)
     probes_of_motors = scores.clearest[1]
     assert len({s.candidate.places for s in probes_of_motors}) == len(probes_of_motors) > 1
-    assert scores.wander == 0.0
+    assert scores.wander is None
 
 
-def lasting(estimate: Estimate) -> tuple[list[Course], list[np.ndarray], list[np.ndarray]]:
-    """Courses, residuals and Jacobians of the points' coordinates."""
+def lasting(estimate: Estimate) -> tuple[list[Waves], list[np.ndarray], list[np.ndarray]]:
+    """Waves, residuals and Jacobians of the points' coordinates."""
     white, rows = estimate.whitened, estimate.problem.rows
     own = [white.channel == c for c in range(3)]
     return (
-        [course_of(rows, white.entry[o]) for o in own],
+        [waves_of(rows, white.entry[o]) for o in own],
         [white.residual[o] for o in own],
         [white.jacobian[o] for o in own],
     )
