@@ -3,8 +3,8 @@
 The noise of a torque log is learned from what a fit leaves. This contains what the model lacks. If that is slow, the
 noise looks correlated for long, and the filter that whitens it removes the missing effect as well. In one log of our
 second virtual world, a cable that drags with 0.6 times the noise kept 2 % of its squares. So once names or probes are
-significant, the noise is learned again, from what a fit with all of these leaves, and the probes are judged by it. If
-nothing is significant, the noise stays as it was, and with it the rate of false alarms.
+significant, the noise is learned again, from what a fit with all of these leaves, and the probes are judged by it; and
+names, if none was found. If nothing is significant, the noise stays as it was, and with it the rate of false alarms.
 
 A constant error is as slow as can be: an offset of one standard deviation is half of the noise, at any lag. So before
 anything is scored, the noise of each motor whose mean is not zero is learned about this mean.

@@ -37,7 +37,7 @@ from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Rows
 from kinematics.description import RobotDescription
 
-__all__ = ["probed_beside_what_stands_out", "scores_of"]
+__all__ = ["probed_beside_what_stands_out", "scored_beside_probes", "scores_of"]
 
 NOISE_ROUNDS = 4  # in which noise is learned beside what stands out, at most
 WEIGHTLESS = 0.01  # of the weight's torque about the joint that bears most: nobody balances so little
@@ -131,6 +131,27 @@ def probed_beside_what_stands_out(
         free = _as_significant(free, null, scores.free, scores.free_null)
         estimate, scores = again, replace(scores, space=space, free=free, free_null=null, probe=best_of(free, null))
     return estimate, scores
+
+
+def scored_beside_probes(
+    estimate: Estimate,
+    scores: CandidateScores,
+    effects: dict[str, Effect],
+    flips: int,
+    seed: int,
+    block: int = 1,
+) -> CandidateScores | None:
+    """A log's scores by the noise that is left beside the significant probes; None if that is as before.
+
+    A missing effect that is slow, compared with the time between rows, is learned as noise that lasts, and whitening
+    removes most of it. Its name may then explain too little. Parameters as of :func:`scores_of`.
+    """
+    if scores.wander is not None:
+        return None
+    again = with_noise_beside(estimate, standing_out_of(scores.free, scores.free_null))
+    if again is None:
+        return None
+    return replace(_scores_of(again, effects, flips, seed, (), block, Derivatives()), noise_of_fit=False)
 
 
 def _as_significant(again: Sequence[Scored], null: Flips, before: Sequence[Scored], was: Flips) -> list[Scored]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from clampid.diagnosis.candidate_scores import CandidateScores
 from clampid.diagnosis.confirmed import Confirmed, with_needed_only
 from clampid.diagnosis.folds import Folds, folds_of
 from clampid.diagnosis.held_out import HeldOut
+from clampid.diagnosis.scoring import scored_beside_probes
 from clampid.diagnosis.trial import Bench
 from clampid.diagnosis.tried import Left, Taken, Tried, Undecided
 from clampid.evidence.score import Scored
@@ -76,9 +77,10 @@ class Searched:
 def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     """Search for missing effects; returns parts of runs to hold out instead if whole runs would not test a candidate.
 
-    If these rows cannot distinguish candidates whose predictions are the same everywhere, one of them is added and the
-    search goes on; otherwise their residual would hide other effects. In poses none is added: models that agree on
-    these poses give other flange positions elsewhere.
+    If there is no candidate by the noise of the fit, they are tried by the noise that is left beside the significant
+    probes. If these rows cannot distinguish candidates whose predictions are the same everywhere, one of them is added
+    and the search goes on; otherwise their residual would hide other effects. In poses none is added: models that agree
+    on these poses give other flange positions elsewhere.
     """
     rows, effects = fitted.estimate.problem.rows, bench.effects
     scores = bench.scores(fitted, 0)
@@ -96,8 +98,13 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     rest: Left | None = None
     wander: Level | None = None
     earlier: dict[str, Tried] = {}
+    earlier_beside: dict[str, Tried] = {}
     for number in range(1, SEARCH_ROUNDS + 1):
         tried, others = bench.decided(scores, fitted, held_out, earlier)  # a ranking is valid for one step
+        beside = _beside_probes(bench, scores, fitted, 2 * number - 2) if tried is None else None
+        if beside is not None:
+            tried, more = bench.decided(beside, fitted, held_out, earlier_beside)
+            others += more
         finer = bench.folds or folds_of(fitted.estimate, scores.space, _on_trial(scores, others), effects)
         if finer is not None and finer is not bench.folds:
             return finer
@@ -119,6 +126,16 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     if not undecided:  # else these scores are from before, and `given.wander` is that beside the undecided groups
         wander = larger(wander, scores.wander)
     return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held_out, scores, rest, wander)
+
+
+def _beside_probes(bench: Bench, scores: CandidateScores, fitted: FittedStage, number: int) -> CandidateScores | None:
+    """The scores by the noise beside the significant probes, with a stream of flips; None if that is as before."""
+    found = scored_beside_probes(
+        fitted.estimate, scores, bench.effects, flips=bench.flips, seed=bench.seed + number, block=bench.block
+    )
+    if found is None or bench.folds is None:
+        return found
+    return replace(found, folds=bench.folds.fold[fitted.estimate.whitened.entry])
 
 
 def _on_trial(scores: CandidateScores, refused: Sequence[Tried] = ()) -> list[Scored]:

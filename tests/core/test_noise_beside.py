@@ -8,9 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clampid.catalogue import catalogue
+from clampid.diagnosis.candidate_scores import CandidateScores
 from clampid.diagnosis.confirm import cross_fitted_fall
 from clampid.diagnosis.noise_beside import with_equal_weights, with_noise_about_its_mean, with_noise_beside
 from clampid.diagnosis.probes import probes
+from clampid.diagnosis.scoring import scored_beside_probes, scores_of
 from clampid.diagnosis.wandering import whitened_by, with_wander
 from clampid.evidence.flips import Flips
 from clampid.evidence.score import Scored, score
@@ -117,3 +120,26 @@ def test_a_constant_error_does_not_wander(clean: Estimate) -> None:
 
 def test_without_a_constant_error_the_noise_stays_as_it_was(clean: Estimate) -> None:
     assert with_noise_about_its_mean(clean) is None
+
+
+def test_a_name_is_scored_by_the_noise_beside_the_probe_that_shows_it(clean: Estimate) -> None:
+    """Friction that follows the load changes as slowly as the motion: learned as noise, most of it was filtered out."""
+    rows, theta = clean.problem.rows, clean.theta
+    rubbing = np.abs(clean.problem.loads(theta)[:, MOTOR]) * rows.signals["joint_motion"][:, MOTOR]
+    lacking = with_error(clean, 2.0 * rubbing / np.sqrt(np.mean(rubbing**2)))
+    effects = dict(catalogue())
+    before = scores_of(lacking, effects, 199, 0)
+    found = scored_beside_probes(lacking, before, effects, 199, 0)
+    assert found is not None
+    assert not found.noise_of_fit
+    label = f"load_dependent_friction@joint{MOTOR + 1}"
+
+    def explained(scores: CandidateScores) -> float:
+        return next(s.explained for s in scores.named if s.candidate.label == label)
+
+    assert explained(found) > 2.0 * explained(before)
+
+
+def test_where_no_probe_is_significant_names_keep_their_noise(clean: Estimate) -> None:
+    effects = dict(catalogue())
+    assert scored_beside_probes(clean, scores_of(clean, effects, 199, 0), effects, 199, 0) is None
