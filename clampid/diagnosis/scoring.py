@@ -20,6 +20,7 @@ from clampid.diagnosis.folds import stability_folds
 from clampid.diagnosis.impossible import SURE
 from clampid.diagnosis.noise_beside import with_noise_about_its_mean, with_noise_beside
 from clampid.diagnosis.probes import probes
+from clampid.diagnosis.runs_apart import with_runs_apart
 from clampid.diagnosis.wandering import whitened_by, with_wander
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
@@ -96,8 +97,15 @@ class _Probed(NamedTuple):
 
 def _probed(estimate: Estimate, flips: int, seed: int, granted: Sequence[Candidate], block: int) -> _Probed:
     space = space_of(estimate, blocks_of_visits(estimate.problem.rows, block)).granting(columns_of(estimate, granted))
-    free, null = with_null(space, score(space, probes(estimate)), flips, seed + 1)
+    space, free = _with_runs_apart(estimate, space, score(space, probes(estimate)))
+    free, null = with_null(space, free, flips, seed + 1)
     return _Probed(space, free, null)
+
+
+def _with_runs_apart(estimate: Estimate, space: Space, scored: list[Scored]) -> tuple[Space, list[Scored]]:
+    """The space, and the scores of candidates on it, with runs of one motion apart if these explain what they share."""
+    apart = with_runs_apart(estimate, space, scored)
+    return apart, scored if apart is space else score(apart, [s.candidate for s in scored])
 
 
 def probed_beside_what_stands_out(
@@ -176,7 +184,10 @@ def _scores_of(
     """The same with the noise that the estimate has."""
     space, free, free_null = _probed(estimate, flips, seed, granted, block)
     fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= DICTIONARY_FALSE_ALARMS}
-    named = score(space, named_candidates(estimate, effects, fired, known))
+    apart, named = _with_runs_apart(estimate, space, score(space, named_candidates(estimate, effects, fired, known)))
+    if apart is not space:
+        space, free = apart, score(apart, [s.candidate for s in free])
+        free, free_null = with_null(space, free, flips, seed + 1)
     events = event_scores(estimate, space, effects) + order_scores(estimate, space, effects)
     named, named_null = with_null(space, named, flips, seed)
     named, named_null = named + events, named_null.joined(len(events), seed)

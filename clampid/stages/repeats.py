@@ -18,7 +18,7 @@ import numpy as np
 from clampid.stages.known_noise import upper_ends
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["repeated_noise", "with_repeats"]
+__all__ = ["first_of_repeated", "repeated_noise", "with_repeats"]
 
 SAME_MOTION = 0.01  # of the joints' excursion, rms: a controller repeats a program within some milliseconds
 BLOCKS = 20  # parts of a motion, from whose spread the uncertainty of the noise follows
@@ -43,10 +43,18 @@ def with_repeats(unit: Integers, run: Integers, time: Array, q: Array) -> Intege
     time, q
         ``(N,)``, s, ascending in a run, and ``(N, n)``, rad.
     """
-    out = unit.copy()
+    return np.asarray(unit[first_of_repeated(run, time, q)])
+
+
+def first_of_repeated(run: Integers, time: Array, q: Array) -> Integers:
+    """The row ``(N,)`` that each row repeats, of the first run with its motion; itself if it repeats none.
+
+    Parameters as of :func:`with_repeats`.
+    """
+    out = np.arange(len(run))
     for first, *others in _alike(run, time, q):
         for rows, elapsed in others:
-            out[rows] = out[first.rows[_nearest(first.elapsed, elapsed)]]
+            out[rows] = first.rows[_nearest(first.elapsed, elapsed)]
     return out
 
 
