@@ -22,6 +22,8 @@ OF_ITS_SIZE = 0.8  # of the noise
         ("load_dependent_friction/free_air", 3700),  # five speeds at 20 Hz, most moves of hundreds of samples
         ("load_dependent_friction/free_air", 3861),  # six equal runs: it shows in a few seconds of their motion
         ("load_dependent_friction/free_air", 3914),  # the load of a joint in motion is that of acceleration, too
+        ("temperature_dependent_friction/free_air", 3901),  # as slow as the motion, it was learned as noise
+        ("gravity_compensator/free_air", 3902),  # six equal runs, and nothing in common beside it
         ("warm_up_friction/free_air", 3703),  # one motor's sensor does not follow its friction
         pytest.param("ambient_torque/free_air", 3711, marks=pytest.mark.study),  # beside friction that builds up
         ("stribeck_friction/free_air", 3803),  # the same, and without inertia in the model no fast row counts
