@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
+from scipy import sparse, stats
 
 from clampid.evidence.columns import channel_starts
 from clampid.evidence.score import Scored
@@ -42,18 +42,18 @@ def with_runs_apart(estimate: Estimate, space: Space, scored: Sequence[Scored]) 
     scored
         Candidates on this residual. Those of the largest evidence are tried, one after the other added.
     """
-    rows = estimate.problem.rows
-    if not rows.kind.moving or not len(estimate.whitened.residual):
+    rows, shared = estimate.problem.rows, len(np.unique(space.unit[: space.rows]))
+    if not rows.kind.moving or not _several_runs_share(rows.unit, rows.series.run):
         return space
     repeated = first_of_repeated(rows.series.run, rows.constants.time, rows.signals["q"])
-    first, beside = _first_entries(estimate, repeated), space
-    if np.array_equal(first, np.arange(len(first))):
+    own = _apart(rows, repeated)[estimate.whitened.entry]
+    if len(np.unique(own)) <= shared:  # they are apart already
         return space
+    first, beside = _first_entries(estimate, repeated), space
     for s in [None, *sorted((s for s in scored if s.bic > 0.0), key=lambda s: -s.bic)[:TOGETHER]]:
         if s is not None:
             beside = beside.granting(s.candidate.columns.dense(space.rows))
         if lack_of_fit(beside, first) > LACKS:
-            own = _apart(rows, repeated)[estimate.whitened.entry]
             return replace(space, unit=np.r_[own, own.max() + 1 + np.arange(len(space.residual) - space.rows)])
     return space
 
@@ -70,8 +70,7 @@ def lack_of_fit(space: Space, first: Integers) -> float:
     several = count[first] > 1
     place, number = np.unique(first[several], return_inverse=True)[1], count[first[several]]
     own = np.c_[space.residual[: space.rows][several], space.basis[: space.rows][several]]
-    sums = np.zeros((place.max(initial=-1) + 1, own.shape[1]))
-    np.add.at(sums, place, own / np.sqrt(number)[:, None])
+    sums = sparse.csr_array((1.0 / np.sqrt(number), (place, np.arange(len(place))))) @ own
     common, absorbed = sums[:, 0], float(np.sum(sums[:, 1:] ** 2))
     whole, all_absorbed = float(own[:, 0] @ own[:, 0]), float(np.sum(own[:, 1:] ** 2))
     mean_squares = float(common @ common)
@@ -80,6 +79,11 @@ def lack_of_fit(space: Space, first: Integers) -> float:
         return 0.0
     ratio = (mean_squares / freedom[0]) / max((whole - mean_squares) / freedom[1], 1e-300)
     return float(stats.f.sf(ratio, *freedom))
+
+
+def _several_runs_share(unit: Integers, run: Integers) -> bool:
+    """Whether rows of several runs are in one unit."""
+    return len(np.unique(np.c_[unit, run], axis=0)) > len(np.unique(unit))
 
 
 def _apart(rows: Rows, repeated: Integers) -> Integers:
