@@ -33,6 +33,7 @@ from clampid.stages.rows import POSE_CHANNELS, Array, Integers, Rows
 __all__ = ["Late", "Noise", "SparseColumns", "Whitened", "groups_of", "initial_noise", "learn_noise", "put_columns"]
 
 LONG_MEMORY_LAG = ORDER // 2 + 1  # from this lag on, an autocorrelation is taken as that of a slow level
+FILTERED_AT_ONCE = 256  # from which a level is taken together: copies of a long table would be large
 MAD_TO_STD = 1.4826  # standard deviation over median absolute deviation, of a normal distribution
 
 
@@ -200,7 +201,9 @@ class Noise:
 
         def taken(columns: Array) -> Array:
             for own, without in filters:
-                columns[own] = without(columns[own])
+                for start in range(0, columns.shape[1], FILTERED_AT_ONCE):
+                    some = slice(start, start + FILTERED_AT_ONCE)
+                    columns[own, some] = without(columns[own, some])
             return columns
 
         return taken
