@@ -66,8 +66,8 @@ class FallTest:
         if p > 0.5 * HELD_OUT_RATE:
             if self.verification is not None:
                 p = either_p(p, self._crossed(without, s).p)
-            elif (steady := self._without_level(without)) is not None:
-                p = either_p(p, cross_fitted_fall(steady, at_fit(steady, s), self.seed).p)
+            else:
+                p = self._or_without_level(p, without, s)
         return p, p <= HELD_OUT_RATE and held_out.exceed(new)
 
     def of_fit(
@@ -111,14 +111,16 @@ class FallTest:
         fall = self._crossed(estimate, probe)
         if fall.p <= 0.5 * HELD_OUT_RATE:
             return fall
-        steady = self._without_level(estimate)
-        if steady is None:
-            return fall
-        return replace(fall, p=either_p(fall.p, cross_fitted_fall(steady, at_fit(steady, probe), self.seed).p))
+        return replace(fall, p=self._or_without_level(fall.p, estimate, probe))
 
     def _crossed(self, estimate: Estimate, s: Scored) -> Fall:
         """Fall of the errors as they are, weighted as the fit is."""
         return cross_fitted_fall(estimate, s if self.noise_of_fit else at_fit(estimate, s), self.seed)
+
+    def _or_without_level(self, p: float, estimate: Estimate, s: Scored) -> float:
+        """The p of a test that has been made; of a log that wanders by the better of it and one without the level."""
+        steady = self._without_level(estimate)
+        return p if steady is None else either_p(p, cross_fitted_fall(steady, at_fit(steady, s), self.seed).p)
 
     def _without_level(self, estimate: Estimate) -> Estimate | None:
         """The estimate of a log, the wandering level taken out; None if it does not wander."""

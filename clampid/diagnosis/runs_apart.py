@@ -23,10 +23,10 @@ from clampid.evidence.columns import channel_starts
 from clampid.evidence.score import Scored
 from clampid.evidence.space import Space
 from clampid.fitting.solve import Estimate
-from clampid.stages.repeats import first_of_repeated
+from clampid.stages.repeats import first_of_repeated, nearest
 from clampid.stages.rows import Integers, Rows
 
-__all__ = ["with_runs_apart"]
+__all__ = ["LACKS", "lack_of_fit", "with_runs_apart"]
 
 LACKS = 0.05  # chance that runs which have nothing in common are taken to have
 TOGETHER = 4  # candidates that may explain together what runs have in common
@@ -101,10 +101,7 @@ def _first_entries(estimate: Estimate, repeated: Integers) -> Integers:
     out = np.arange(len(white.entry))
     for start, stop in channel_starts(white):
         entry = white.entry[start:stop]
-        wanted = repeated[entry]
-        at = np.clip(np.searchsorted(entry, wanted), 0, len(entry) - 1)
-        before = np.maximum(at - 1, 0)
-        nearest = np.where(np.abs(entry[before] - wanted) < np.abs(entry[at] - wanted), before, at)
-        near = 2 * np.abs(entry[nearest] - wanted) <= estimate.noise.together - 1
-        out[start:stop] = np.where(near, start + nearest, out[start:stop])
+        found = nearest(entry, repeated[entry])
+        near = 2 * np.abs(entry[found] - repeated[entry]) <= estimate.noise.together - 1
+        out[start:stop] = np.where(near, start + found, out[start:stop])
     return np.asarray(out)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from clampid.diagnosis.candidate_scores import CandidateScores
@@ -133,9 +133,7 @@ def _beside_probes(bench: Bench, scores: CandidateScores, fitted: FittedStage, n
     found = scored_beside_probes(
         fitted.estimate, scores, bench.effects, flips=bench.flips, seed=bench.seed + number, block=bench.block
     )
-    if found is None or bench.folds is None:
-        return found
-    return replace(found, folds=bench.folds.fold[fitted.estimate.whitened.entry])
+    return None if found is None else bench.in_its_folds(found, fitted)
 
 
 def _on_trial(scores: CandidateScores, refused: Sequence[Tried] = ()) -> list[Scored]:

@@ -91,7 +91,11 @@ class Bench:
         """The scores on a fit's residual, with its own stream of flips."""
         seed = self.seed + number
         found = scores_of(fitted.estimate, self.effects, self.flips, seed, granted, self.block, self.wander)
-        return found if self.folds is None else replace(found, folds=self.folds.fold[fitted.estimate.whitened.entry])
+        return self.in_its_folds(found, fitted)
+
+    def in_its_folds(self, scores: CandidateScores, fitted: FittedStage) -> CandidateScores:
+        """The scores, with the parts of runs that are held out, if any are, instead of their own folds."""
+        return scores if self.folds is None else replace(scores, folds=self.folds.fold[fitted.estimate.whitened.entry])
 
     def beside_what_stands_out(self, left: Left) -> Left:
         """What a fit leaves, its probes judged by the noise beside what stands out."""
@@ -325,7 +329,8 @@ class Bench:
         earlier
             As of :meth:`decided`.
         """
-        groups, whole, wander = [undecided], fitted, larger()
+        groups, whole = [undecided], fitted
+        wander: Level | None = None
         while len(groups) < GROUPS:
             whole, granted = self.with_undecided(groups, fitted, whole)
             scores = self.scores(whole, 2 * number - 1, granted)

@@ -18,7 +18,7 @@ import numpy as np
 from clampid.stages.known_noise import upper_ends
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["first_of_repeated", "repeated_noise", "with_repeats"]
+__all__ = ["first_of_repeated", "nearest", "repeated_noise", "with_repeats"]
 
 SAME_MOTION = 0.01  # of the joints' excursion, rms: a controller repeats a program within some milliseconds
 BLOCKS = 20  # parts of a motion, from whose spread the uncertainty of the noise follows
@@ -54,7 +54,7 @@ def first_of_repeated(run: Integers, time: Array, q: Array) -> Integers:
     out = np.arange(len(run))
     for first, *others in _alike(run, time, q):
         for rows, elapsed in others:
-            out[rows] = first.rows[_nearest(first.elapsed, elapsed)]
+            out[rows] = first.rows[nearest(first.elapsed, elapsed)]
     return out
 
 
@@ -77,7 +77,7 @@ def repeated_noise(run: Integers, time: Array, q: Array, torque: Array) -> Array
     for first, *others in _alike(run, time, q):
         found = [torque[first.rows]]
         for rows, elapsed in others:
-            again = torque[rows[_nearest(elapsed, first.elapsed)]]
+            again = torque[rows[nearest(elapsed, first.elapsed)]]
             found += [] if any(np.array_equal(again, known) for known in found) else [again]
         if len(found) > 1:
             squares.append(np.var(found, axis=0, ddof=1))
@@ -111,7 +111,7 @@ def _alike(run: Integers, time: Array, q: Array) -> list[list[_Run]]:
     return out
 
 
-def _nearest(clock: Array, elapsed: Array) -> Integers:
+def nearest(clock: Array | Integers, elapsed: Array | Integers) -> Integers:
     """Which reading of an ascending clock ``(k,)`` is nearest to each time ``(m,)``."""
     after = np.clip(np.searchsorted(clock, elapsed), 1, max(len(clock) - 1, 1))
     after = np.minimum(after, len(clock) - 1)
