@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from scipy import stats
 
@@ -25,6 +26,7 @@ __all__ = [
     "FEWEST_FLIPS",
     "IMPOSSIBLE",
     "CandidateScores",
+    "Wandering",
     "best_of",
     "of_other_families",
     "refuse_few_flips",
@@ -68,12 +70,23 @@ def refuse_few_flips(flips: int) -> None:
         )
 
 
+class Wandering(NamedTuple):
+    """What is known of a fit whose readings wander.
+
+    ``level``: by how much. ``shown``: labels of the names that the fit does not absorb, by noise that does not wander.
+    What it absorbs, but for rounding and for noise in its columns (a scale, of measured positions), it absorbs.
+    """
+
+    level: Level
+    shown: frozenset[str]
+
+
 @dataclass(frozen=True)
 class CandidateScores:
     """The scores of both dictionaries on a fit's residual, with their null distributions.
 
-    ``wander``: by how much the noise that they are judged by wanders (:mod:`clampid.diagnosis.wandering`); None if it
-    does not. ``noise_of_fit``: whether this noise is that by which the fit is weighted.
+    ``wandering``: how the noise that they are judged by wanders (:mod:`clampid.diagnosis.wandering`); None if it does
+    not. ``noise_of_fit``: whether this noise is that by which the fit is weighted.
     """
 
     space: Space
@@ -83,8 +96,13 @@ class CandidateScores:
     free_null: Flips
     probe: Scored | None
     folds: Integers
-    wander: Level | None = None
+    wandering: Wandering | None = None
     noise_of_fit: bool = True
+
+    @property
+    def wander(self) -> Level | None:
+        """By how much readings wander; None if they do not."""
+        return None if self.wandering is None else self.wandering.level
 
     def best(self, rejected: Collection[str] = ()) -> Scored | None:
         """The best significant name, except those whose labels are rejected; None if there is none."""

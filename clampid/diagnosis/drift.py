@@ -2,20 +2,21 @@
 
 Residuals' means over each visit, in the order of time, are tested for correlation at ten lags, and the clearest is
 judged by ten times its p-value (Bonferroni). If they are correlated, the null distribution flips blocks of
-consecutive visits of that length, and effects of time cannot be distinguished from drift. The variance at each lag is
-that of Ljung, Box, On a measure of lack of fit in time series models, Biometrika 65, 1978.
+consecutive visits of that length, and effects of time cannot be distinguished from drift. Where readings are known to
+wander, their noise contains that level already; blocks are then needed only if what is left without it is correlated.
+The variance at each lag is that of Ljung, Box, On a measure of lack of fit in time series models, Biometrika 65, 1978.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
 from clampid.display import number
 from clampid.fitting.solve import Estimate
-from clampid.fitting.wander import in_time
+from clampid.fitting.wander import Level, in_time
 from clampid.stages.rows import Array, Integers, Rows
 
 __all__ = ["Drift", "blocks_of_visits", "drift_of"]
@@ -66,10 +67,16 @@ class Drift:
         )
 
 
-def drift_of(estimate: Estimate) -> Drift | None:
-    """The drift in the residual of a pose fit, or None where none is significant."""
+def drift_of(estimate: Estimate, level: Level | None = None) -> Drift | None:
+    """The drift in the residual of a pose fit, or None where none is significant.
+
+    ``level``: by how much readings are known to wander; then the drift that is left without.
+    """
     rows = estimate.problem.rows
-    parts = [_means(rows, estimate.residual, s) for s in np.unique(rows.session)]
+    white = replace(estimate.noise, level=level).whiten(rows, estimate.residual, np.zeros((*rows.measured.shape, 0)))
+    residual = np.zeros(rows.measured.shape)
+    residual[white.entry, white.channel] = white.residual
+    parts = [_means(rows, residual, s) for s in np.unique(rows.session)]
     parts = [p for p in parts if len(p) > 4 * LAGS]
     if not parts:
         return None
@@ -115,13 +122,13 @@ def blocks_of_visits(rows: Rows, length: int) -> Integers:
     return out
 
 
-def _means(rows: Rows, residual: Array, session: int) -> Array:
-    """Means ``(V, 3)`` over a session's visits in the order of time, in standard deviations; visits that count."""
+def _means(rows: Rows, white: Array, session: int) -> Array:
+    """Means ``(V, 3)`` over a session's visits in the order of time, of whitened residuals; visits that count."""
     own = (rows.session == session) & rows.used[:, :3].all(axis=1)
     if not own.any():
         return np.zeros((0, 3))
     visit, order = in_time(rows, np.flatnonzero(own))
-    white = (rows.in_noise_axes(residual)[:, :3] / rows.sigma[:, :3])[own]
+    white = white[own, :3]
     count = np.bincount(visit)
     means = np.stack([np.bincount(visit, white[:, k]) / count for k in range(3)], axis=1)
     return means[np.argsort(order)]

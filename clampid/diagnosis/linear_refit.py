@@ -16,7 +16,7 @@ from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate, limits_of
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["Step", "at_fit", "linear_refit", "step_towards"]
+__all__ = ["Step", "at_fit", "is_costlier", "linear_refit", "step_towards"]
 
 
 def linear_refit(estimate: Estimate, s: Scored) -> Estimate | None:
@@ -147,3 +147,15 @@ def step_towards(estimate: Estimate, *candidates: Scored) -> Step | None:
     white = near.noise.whiten(trial.rows, residual, np.zeros((*residual.shape, 0)))
     before, linear = estimate.point.cost, float(near.whitened.residual @ near.whitened.residual)
     return Step(near, before - linear, before - float(white.residual @ white.residual))
+
+
+def is_costlier(s: Scored, own: Step | None, best: Scored, step: Step | None) -> bool:
+    """Whether a variant has more parameters than the best, which BIC does not justify, and its score is reliable.
+
+    Its fit would lower the residual of these rows, and by chance half the time the held-out error.
+    """
+    scores_decide = all(
+        one.candidate.prior is None and not one.candidate.shapes and near is not None and near.linear
+        for one, near in ((s, own), (best, step))
+    )
+    return scores_decide and s.freedom > best.freedom and s.bic < best.bic

@@ -50,7 +50,7 @@ def _probe(estimate: Estimate, place: str, what: str, variables: Sequence[str], 
     if not np.any(columns):
         return None
     rows = estimate.problem.rows
-    white = estimate.noise.whiten(rows, np.zeros(columns.shape[:2]), columns)
+    white = estimate.noise.whiten(rows, np.zeros(columns.shape[:2]), columns, estimate.whitened.filters)
     kept = columns_from(white, list(range(columns.shape[2])))
     return Candidate(f"{what} at {place}", "probe", (), (), {}, kept, tuple(variables), (place,))
 

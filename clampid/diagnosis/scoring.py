@@ -12,6 +12,7 @@ from clampid.diagnosis.candidate_scores import (
     DICTIONARY_FALSE_ALARMS,
     IMPOSSIBLE,
     CandidateScores,
+    Wandering,
     best_of,
     standing_out_of,
 )
@@ -21,7 +22,7 @@ from clampid.diagnosis.impossible import SURE
 from clampid.diagnosis.noise_beside import with_noise_about_its_mean, with_noise_beside
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.runs_apart import with_runs_apart
-from clampid.diagnosis.wandering import whitened_by, with_wander
+from clampid.diagnosis.wandering import level_beside, of_level, whitened_by
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.events import event_scores
@@ -32,7 +33,7 @@ from clampid.evidence.score import Scored, score
 from clampid.evidence.space import Space, space_of
 from clampid.fitting.further_columns import Derivatives
 from clampid.fitting.solve import Estimate
-from clampid.fitting.wander import Level
+from clampid.fitting.wander import Level, larger
 from clampid.slots import number_of
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Rows
@@ -52,6 +53,7 @@ def scores_of(
     granted: Sequence[Candidate] = (),
     block: int = 1,
     wander: Level | None = None,
+    seen: Wandering | None = None,
 ) -> CandidateScores:
     """Score both dictionaries on a fit's residual, with their null distributions.
 
@@ -68,23 +70,33 @@ def scores_of(
         Of poses: how many consecutive visits the null flips together.
     wander
         By how much readings are known to wander at least; None if they are not.
+    seen
+        Of poses: what earlier scores of this fit have shown; None if they did not wander, or are the first.
     """
     known, about = Derivatives(), with_noise_about_its_mean(estimate)
     estimate = about or estimate
+    if seen is not None:
+        slow = of_level(estimate, larger(seen.level, wander) or seen.level)
+        return _beside_wandering(_scores_of(slow, effects, flips, seed, granted, block, known), seen)
     found = _scores_of(estimate, effects, flips, seed, granted, block, known)
-    wandering = with_wander(estimate, found.clearest, wander)
-    if wandering is None:
+    level = level_beside(estimate, found.clearest, wander)
+    if level is None:
         return replace(found, noise_of_fit=about is None)
     if estimate.noise.autocorrelations:  # learned from what wanders, too
         short = whitened_by(estimate, estimate.noise.of_short_memory)
-        clearest = _scores_of(short, effects, flips, seed, granted, block, known).clearest
-        wandering = with_wander(short, clearest, wander) or wandering
-    # What the fit absorbs, but for rounding and for noise in its columns (a scale, of measured positions), it absorbs.
-    shown = {s.candidate.label for s in found.named if s.freedom}
+        of_short = level_beside(short, _scores_of(short, effects, flips, seed, granted, block, known).clearest, wander)
+        if of_short is not None:
+            estimate, level = short, of_short
+    seen = Wandering(level, frozenset(s.candidate.label for s in found.named if s.freedom))
     del found  # as large as its rows and all that is active
-    again = _scores_of(wandering, effects, flips, seed, granted, block, known)
-    named = [s if s.candidate.label in shown else replace(s, state="absorbed") for s in again.named]
-    return replace(again, named=named, wander=wandering.noise.level, noise_of_fit=False)
+    slow = of_level(estimate, level)
+    return _beside_wandering(_scores_of(slow, effects, flips, seed, granted, block, known), seen)
+
+
+def _beside_wandering(scores: CandidateScores, seen: Wandering) -> CandidateScores:
+    """The scores by the noise of readings that wander, without the names that the fit absorbs."""
+    named = [s if s.candidate.label in seen.shown else replace(s, state="absorbed") for s in scores.named]
+    return replace(scores, named=named, wandering=seen, noise_of_fit=False)
 
 
 class _Probed(NamedTuple):

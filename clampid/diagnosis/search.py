@@ -114,6 +114,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
             fitted, held_out = taken[-1].fitted, taken[-1].held_out
         else:
             if isinstance(tried, Undecided):
+                scores, beside = scores.remembered, None  # others are about to be made
                 given = bench.confirm_given_ambiguity(tried, fitted, held_out, number, earlier)
                 tried, undecided, rest, wander = given.found, given.groups, given.rest, larger(wander, given.wander)
                 refused += [t.refusal(effects) for t in given.refused]

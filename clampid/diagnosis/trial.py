@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from clampid.diagnosis.candidate_scores import (
     CONFUSABLE,
     CandidateScores,
+    Wandering,
     of_other_families,
     rivals_of,
     simplest_of,
@@ -21,7 +22,7 @@ from clampid.diagnosis.falls import MOSTLY, FallTest, tested_everywhere
 from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, held_out_of
 from clampid.diagnosis.impossible import impossible_values
-from clampid.diagnosis.linear_refit import Step, at_fit, linear_refit, step_towards
+from clampid.diagnosis.linear_refit import Step, at_fit, is_costlier, linear_refit, step_towards
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, bic_gap, pruned
 from clampid.diagnosis.scoring import probed_beside_what_stands_out, scores_of
@@ -72,6 +73,8 @@ class Bench:
         Other stages of which there are rows.
     wander
         By how much readings are known to wander at least; None if they are not.
+    seen
+        Terms and granted candidates → how the readings wander beside that fit: poses may be searched twice.
     """
 
     effects: dict[str, Effect]
@@ -85,12 +88,15 @@ class Bench:
     folds: Folds | None = None
     elsewhere: frozenset[Stage] = frozenset()
     wander: Level | None = None
+    seen: dict[tuple[object, ...], Wandering | None] = field(default_factory=dict)
 
     @substep("scoring the candidates", ROUND_SHARE)
     def scores(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> CandidateScores:
         """The scores on a fit's residual, with its own stream of flips."""
-        seed = self.seed + number
-        found = scores_of(fitted.estimate, self.effects, self.flips, seed, granted, self.block, self.wander)
+        fit, seed = (tuple(fitted.model.terms), *(c.label for c in granted)), self.seed + number
+        seen = self.seen.get(fit) if fitted.estimate.problem.kind.points else None
+        found = scores_of(fitted.estimate, self.effects, self.flips, seed, granted, self.block, self.wander, seen)
+        self.seen[fit] = found.wandering
         return self.in_its_folds(found, fitted)
 
     def in_its_folds(self, scores: CandidateScores, fitted: FittedStage) -> CandidateScores:
@@ -175,7 +181,7 @@ class Bench:
         variants: list[tuple[Scored, Step | None]] = [
             (s, _step(s, scores, fitted)) for s in variants_of(scores.named, best)
         ]
-        others = [(s, own) for s, own in variants if not _needless(s, own, best, step)]
+        others = [(s, own) for s, own in variants if not is_costlier(s, own, best, step)]
         if known is None:
             others += self._not_linear(scores, fitted, best, step, refused)
         fits = [self._fitted_along(s, near, fitted, held_out) for s, near in ((best, step), *others)]
@@ -379,18 +385,6 @@ class Bench:
         new = self.held_out(alone)
         lowers = held_out.exceed(new) or not self._plain(tried.best)  # held-out rows may not test a local effect
         return replace(tried, fitted=alone, held_out=new, before=held_out.rms, reason="" if lowers else ONLY_BESIDE)
-
-
-def _needless(s: Scored, own: Step | None, best: Scored, step: Step | None) -> bool:
-    """Whether a variant has more parameters than the best, which BIC does not justify, and its score is reliable.
-
-    Its fit would lower the residual of these rows, and by chance half the time the held-out error.
-    """
-    scores_decide = all(
-        one.candidate.prior is None and not one.candidate.shapes and near is not None and near.linear
-        for one, near in ((s, own), (best, step))
-    )
-    return scores_decide and s.freedom > best.freedom and s.bic < best.bic
 
 
 def _step(s: Scored, scores: CandidateScores, fitted: FittedStage) -> Step | None:

@@ -31,7 +31,7 @@ from clampid.fitting.solve import Estimate
 from clampid.fitting.wander import Level, larger, wander_of, waves_of
 from clampid.stages.rows import POSE_CHANNELS, Array
 
-__all__ = ["WANDERS", "known_to_wander", "whitened_by", "with_wander"]
+__all__ = ["WANDERS", "known_to_wander", "level_beside", "of_level", "whitened_by"]
 
 WANDERS = (
     "The readings wander: their level changes slowly and at random (chance below 1 %), so slow changes count less as "
@@ -45,8 +45,8 @@ MOST_PARAMETERS = 300
 LARGEST_SHARE_OF_COLUMNS = 0.2  # of the numbers of a channel, that may be columns beside which it wanders
 
 
-def with_wander(estimate: Estimate, beside: Sequence[Sequence[Scored]], least: Level | None = None) -> Estimate | None:
-    """The same estimate with wandering noise, or None where wandering is not significant.
+def level_beside(estimate: Estimate, beside: Sequence[Sequence[Scored]], least: Level | None = None) -> Level | None:
+    """By how much the readings of an estimate wander, or None where that is not significant.
 
     The coordinates of a point wander alike, and so do the readings of a log's motors, each in units of its noise.
 
@@ -67,15 +67,21 @@ def with_wander(estimate: Estimate, beside: Sequence[Sequence[Scored]], least: L
     mine = {c: channels[c] for c in wanted if c in channels}
     goes_on = least is not None
     level = larger(_seen(estimate, mine, beside, goes_on), least) if mine else None
-    if level is None:
-        return None
-    return whitened_by(estimate, replace(estimate.noise, level=replace(level, goes_on=goes_on)))
+    return None if level is None else replace(level, goes_on=goes_on)
+
+
+def of_level(estimate: Estimate, level: Level) -> Estimate:
+    """The same estimate, its residual and Jacobian whitened by its noise with a level that wanders by so much."""
+    noise, rows = replace(estimate.noise, level=level), estimate.problem.rows
+    if rows.kind.points:
+        return replace(estimate, noise=noise, whitened=noise.without_level(rows, estimate.whitened))
+    return whitened_by(estimate, noise)
 
 
 def known_to_wander(estimate: Estimate, level: Level) -> Estimate:
     """The same estimate of a log, whitened by a noise with short memory and a level that wanders by so much."""
     noise = estimate.noise.of_short_memory if estimate.noise.autocorrelations else estimate.noise
-    return whitened_by(estimate, replace(noise, level=level))
+    return of_level(replace(estimate, noise=noise), level)
 
 
 def whitened_by(estimate: Estimate, noise: Noise) -> Estimate:

@@ -1,21 +1,23 @@
 """Whitened Jacobian columns of candidates, stored as the blocks in which they are not zero.
 
 Columns of pose candidates are often products: a place's derivatives times functions of the row. Where noise is
-independent from row to row, they are stored as such. Where readings wander, a whitened number depends on the rows
-before it as well, so products are formed first and whitened then.
+independent from row to row, they are stored as such. Where readings wander, a whitened number depends on all others.
+The filter takes the part T of few directions Q. So sums over whitened columns (1 - QTQ')D follow from those over the
+products D and from their shares Q'D, and the table is never formed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby, pairwise
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy import sparse
 
 from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate
+from clampid.fitting.wander import Filters
 from clampid.stages.rows import Array, Integers
 
 __all__ = [
@@ -27,7 +29,6 @@ __all__ = [
     "Sums",
     "channel_starts",
     "columns_from",
-    "tables_of",
 ]
 
 
@@ -99,10 +100,8 @@ class Columns:
 
     def cross(self, other: AnyColumns) -> Array:
         """``(k, k')``: D' D'."""
-        if isinstance(other, Products):
+        if not isinstance(other, Columns):
             return np.asarray(other.cross(self).T)
-        if isinstance(other, Filtered):
-            return self.cross(other.table)
         out = np.zeros((self.width, other.width))
         theirs = dict(other.pieces)
         for start, block in self.pieces:
@@ -132,34 +131,40 @@ class Levers:
         Number of rows N.
     channels
         First and last + 1 of each channel's entries.
-    without_level
-        Of readings that wander: turns columns ``(M, k)``, in place, into their whitened ones. None where each entry is
-        independent of all others.
+    filters
+        Of readings that wander: what takes their level. None where each entry is independent of all others.
     """
 
     values: Array
     entry: Integers
     rows: int
     channels: tuple[tuple[int, int], ...] = ()
-    without_level: Callable[[Array], Array] | None = None
+    filters: Filters | None = None
 
     @staticmethod
     def of(estimate: Estimate, unit: Array) -> Levers:
         """Levers of poses, from the change of the measurement ``(N, m, n)``, SI, by a unit at each place."""
-        rows, noise = estimate.problem.rows, estimate.noise
-        plain = replace(noise, level=None).whiten(rows, np.zeros(unit.shape[:2]), unit)
-        without_level = noise.without_level(rows, plain.entry, plain.channel)
-        return Levers(plain.jacobian, plain.entry, len(rows), channel_starts(plain), without_level)
+        rows, white = estimate.problem.rows, estimate.whitened
+        plain = replace(estimate.noise, level=None).whiten(rows, np.zeros(unit.shape[:2]), unit)
+        return Levers(plain.jacobian, plain.entry, len(rows), channel_starts(plain), white.filters)
 
     def by_row(self, weights: Array) -> Array:
         """Sums ``(N,)`` of weights ``(M,)`` over the entries of each row."""
         return np.asarray(np.bincount(self.entry, weights, minlength=self.rows), dtype=float)
 
-    def times(self, place: int, other: Array) -> Array:
-        """A place's derivatives times ``other`` ``(M, r)``, summed over the entries of each row: ``(N, r)``."""
-        count = len(self.entry)
-        lever = sparse.csr_matrix((self.values[:, place], (self.entry, np.arange(count))), shape=(self.rows, count))
-        return np.asarray(lever @ other[:count])
+    def times(self, place: int, other: Array, own: slice = slice(None)) -> Array:
+        """A place's derivatives times ``other`` ``(m, r)``, summed over the entries of each row: ``(N, r)``.
+
+        ``own``: which entries the m first numbers of ``other`` belong to; by default all.
+        """
+        values, entry = self.values[own, place], self.entry[own]
+        lever = sparse.csr_matrix((values, (entry, np.arange(len(entry)))), shape=(self.rows, len(entry)))
+        return np.asarray(lever @ other[: len(entry)])
+
+    def shares(self, place: int) -> Array:
+        """The same times the directions of a level that wanders ``(N, R)``."""
+        parts = () if self.filters is None else self.filters.parts
+        return np.hstack([np.zeros((self.rows, 0)), *(self.times(place, f.directions, own) for own, f in parts)])
 
     def summed(self, place: int, sums: Sums) -> sparse.csr_matrix:
         """Weighted sums over groups of entries of a place's derivatives, for each row: ``(groups, N)``."""
@@ -195,7 +200,7 @@ class Products:
     @property
     def whitened(self) -> Products | Filtered:
         """The columns as they are whitened: themselves where each entry is independent."""
-        return self if self.levers.without_level is None else Filtered(self)
+        return self if self.levers.filters is None else Filtered(self, self.levers.filters)
 
     @property
     def width(self) -> int:
@@ -239,12 +244,15 @@ class Products:
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
-    """Whitened columns ``(M, k)`` of readings that wander: products that are filtered each time they are used.
-
-    The tables of all that may be missing would take gigabytes.
-    """
+    """Whitened columns (1 - QTQ')D ``(M, k)`` of readings that wander, from the products D and their shares Q'D."""
 
     products: Products
+    filters: Filters
+
+    @cached_property
+    def shares(self) -> Array:
+        """``(k, R)``: D'Q. :class:`clampid.evidence.joined.Joined` computes those of many candidates at once."""
+        return np.concatenate([F.T @ self.products.levers.shares(place) for place, F, _ in self.products.placed])
 
     @property
     def width(self) -> int:
@@ -256,41 +264,27 @@ class Filtered:
         """First entries of the channels in which they may not be zero."""
         return self.products.channels
 
-    @property
-    def table(self) -> Columns:
-        """The columns, filtered."""
-        return tables_of([self])[0]
-
     def gram(self) -> Array:
-        """``(k, k)``: D'D."""
-        return self.table.gram()
+        """``(k, k)``: D'(1 - QTQ')²D."""
+        taken = self.filters.taken
+        return np.asarray(self.products.gram() - (self.shares * (2.0 - taken) * taken) @ self.shares.T)
 
     def times(self, other: Array) -> Array:
-        """``(k, …)``: D' other, for other ``(M, …)``."""
-        return self.table.times(other)
+        """``(k, …)``: D'(1 - QTQ') other, for other ``(M, …)``."""
+        return np.asarray(self.products.times(other) - (self.shares * self.filters.taken) @ self.filters.shares(other))
 
     def cross(self, other: AnyColumns) -> Array:
-        """``(k, k')``: D' D'."""
-        return self.table.cross(other)
+        """``(k, k')``: D'(1 - QTQ') times the other columns."""
+        return self.times(other.dense(len(self.products.levers.entry)))
 
     def dense(self, entries: int) -> Array:
         """``(entries, k)``."""
-        return self.table.dense(entries)
+        out = self.products.dense(entries)
+        self.filters(out[: len(self.products.levers.entry)])
+        return out
 
 
 AnyColumns = Columns | Products | Filtered
-
-
-def tables_of(members: Sequence[Filtered]) -> list[Columns]:
-    """The tables of several, each of those of one place filtered together."""
-    out = list[Columns]()
-    for levers, run in groupby((m.products for m in members), key=lambda p: p.levers):
-        own = list(run)
-        whole = np.hstack([p.dense(len(levers.entry)) for p in own])
-        whole = whole if levers.without_level is None else levers.without_level(whole)
-        each = np.split(whole, np.cumsum([p.width for p in own], dtype=int)[:-1], axis=1)
-        out += [Columns(tuple((a, block[a:b]) for a, b in levers.channels), block.shape[1]) for block in each]
-    return out
 
 
 def channel_starts(white: Whitened) -> tuple[tuple[int, int], ...]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby, pairwise
+from itertools import pairwise
 
 import numpy as np
 from scipy import sparse
 
-from clampid.evidence.columns import AnyColumns, Columns, Filtered, Levers, Products, Sums, tables_of
+from clampid.evidence.columns import AnyColumns, Columns, Filtered, Levers, Sums
+from clampid.fitting.wander import Filters
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["Joined"]
@@ -26,42 +27,54 @@ class Joined:
 
     members: Sequence[AnyColumns]
 
-    @property
-    def held(self) -> list[Columns | Products]:
-        """The members with tables instead of what is filtered each time it is used."""
-        tables = iter(tables_of([m for m in self.members if isinstance(m, Filtered)]))
-        return [next(tables) if isinstance(m, Filtered) else m for m in self.members]
-
     def times(self, other: Array) -> Array:
         """``(K, r)``: D' other, from the first M entries of ``other`` ``(…, r)``."""
-        return self._all(
+        products = self._all(
             other.shape[1],
             lambda start, block: block.T @ other[start : start + len(block)],
             lambda levers, place: levers.times(place, other),
         )
+        return self._less_level(products, lambda filters: filters.shares(other))
 
     def summed(self, sums: Sums) -> Array:
         """``(K, groups)``: weighted sums of the columns over groups of entries."""
-        return self._all(
+        products = self._all(
             sums.groups,
             lambda start, block: (sums.over(start, start + len(block)) @ block).T,
             lambda levers, place: levers.summed(place, sums).T,
         )
+        return self._less_level(products, lambda filters: filters.summed(sums.matrix).T)
 
     def own(self, whole: Array) -> list[Array]:
         """Each candidate's part of an array ``(K, …)``."""
         return np.split(whole, np.cumsum([m.width for m in self.members], dtype=int))[:-1]
 
     def batches(self, other: Array, width: int) -> Iterator[tuple[Joined, Array]]:
-        """Groups of consecutive candidates with about ``width`` columns in all, held, each with its D' other."""
-        for late, run in groupby(self.members, key=lambda m: isinstance(m, Filtered)):
-            alike = Joined(list(run))
-            which = np.cumsum([0, *(m.width for m in alike.members[:-1])]) // width
-            edges = [0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), len(alike.members)]
-            products = None if late else alike.own(alike.times(other))
-            for a, b in pairwise(edges):
-                some = Joined(Joined(alike.members[a:b]).held)
-                yield some, some.times(other) if products is None else np.concatenate(products[a:b])
+        """Groups of consecutive candidates with about ``width`` columns in all, each with its D' other."""
+        if not self.members:
+            return
+        which = np.cumsum([0, *(m.width for m in self.members[:-1])]) // width
+        edges = [0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), len(self.members)]
+        products = self.own(self.times(other))
+        for a, b in pairwise(edges):
+            yield Joined(self.members[a:b]), np.concatenate(products[a:b])
+
+    def _less_level(self, products: Array, shares: Callable[[Filters], Array]) -> Array:
+        """Sums ``(K, …)`` over products, less what a level takes of them.
+
+        ``shares`` gives the same sums of the level's directions ``(R, …)``.
+        """
+        filtered = [m for m in self.members if isinstance(m, Filtered)]
+        if not filtered:
+            return products
+        unknown = [m for m in filtered if "shares" not in m.__dict__]
+        for member, found in zip(unknown, _shares_of(unknown), strict=True):
+            member.__dict__["shares"] = found.copy()  # a view would keep those of all candidates
+        filters = filtered[0].filters  # those of the fit
+        lines = np.concatenate([np.full(m.width, isinstance(m, Filtered)) for m in self.members])
+        taken = np.concatenate([m.shares for m in filtered]) * filters.taken
+        products[lines] -= taken @ shares(filters)
+        return products
 
     def _all(
         self,
@@ -73,15 +86,16 @@ class Joined:
         blocks: dict[tuple[int, int], list[tuple[slice, Array]]] = {}
         places: dict[tuple[Levers, int], list[tuple[slice, Array]]] = {}
         first = 0
-        for member in self.held:
-            if isinstance(member, Products):
-                for place, F, mine in member.placed:
-                    lines = slice(first + mine.start, first + mine.stop)
-                    places.setdefault((member.levers, place), []).append((lines, F))
-            else:
+        for member in self.members:
+            if isinstance(member, Columns):
                 for start, block in member.pieces:
                     lines = slice(first, first + member.width)
                     blocks.setdefault((start, len(block)), []).append((lines, block))
+            else:
+                own = member.products if isinstance(member, Filtered) else member
+                for place, F, mine in own.placed:
+                    lines = slice(first + mine.start, first + mine.stop)
+                    places.setdefault((own.levers, place), []).append((lines, F))
             first += member.width
         out = np.zeros((first, width))
         for (start, _), parts in blocks.items():
@@ -92,6 +106,13 @@ class Joined:
             for at, F in _side_by_side(parts):
                 out[at] += F.T @ product
         return out
+
+
+def _shares_of(members: Sequence[Filtered]) -> list[Array]:
+    """Of each of some candidates the products of its columns with the directions of the level ``(k, R)``."""
+    joined = Joined([m.products for m in members])
+    count = len(members[0].filters.taken) if members else 0
+    return joined.own(joined._all(count, lambda start, block: block, lambda levers, place: levers.shares(place)))
 
 
 def _side_by_side(parts: Sequence[tuple[slice, Array]]) -> list[tuple[Integers, Array]]:

@@ -33,6 +33,7 @@ from clampid.evidence.score import WEAK_BELOW, Scored, score
 from clampid.evidence.space import Space, space_of
 from clampid.fitting.noise import MAD_TO_STD
 from clampid.fitting.solve import Estimate
+from clampid.fitting.wander import Filters
 from clampid.slots import Slot, Term
 from clampid.stages import poses
 from clampid.stages.fit_problem import parameter_of
@@ -76,7 +77,7 @@ class _Tried:
     joint: int
     shapes: tuple[Mapping[str, float], ...]
     explained: Array
-    weight: sparse.csc_matrix
+    weight: Array | sparse.csc_matrix
     visit_error: Array
     levers: Levers
 
@@ -139,6 +140,7 @@ def _all_places(
     theta, offsets = estimate.theta[: len(estimate.slots)], estimate.problem.chain.offsets
     _, sensitivity = poses.by_station(rows, poses.evaluate(rows, estimate.problem.chain, theta))
     levers = Levers.of(estimate, sensitivity[:, :, offsets["joint_angle"]])
+    of_basis = (levers.filters or Filters(())).shares(space.basis)
     active = {(slot.effect, slot.place) for slot in estimate.slots}
     found = []
     for effect in wanted:
@@ -148,7 +150,7 @@ def _all_places(
             if (effect.name, place) in active or (only is not None and place not in only):
                 continue
             if is_sought(estimate, effect, place):
-                tried = _places(estimate, space, effect, j, levers, tables)
+                tried = _places(estimate, space, effect, j, levers, tables, of_basis)
                 found += [] if tried is None else [tried]
     return found
 
@@ -174,8 +176,12 @@ def _places(
     j: int,
     levers: Levers,
     tables: list[tuple[Mapping[str, float], Array]],
+    of_basis: Array,
 ) -> _Tried | None:
-    """An effect at all angles of one joint; None if no pose shows it at any."""
+    """An effect at all angles of one joint; None if no pose shows it at any.
+
+    ``of_basis`` ``(R, r)``: shares of the basis in a level that wanders.
+    """
     rows = estimate.problem.rows
     at = np.rint(np.mod(rows.signals["q"][:, j], 2.0 * np.pi) * ANGLES_PER_TURN / (2.0 * np.pi)).astype(np.int64)
     lever = levers.values[:, j]
@@ -195,40 +201,62 @@ def _places(
                 functions.append(table[(at - k) % ANGLES_PER_TURN])
     if not shapes:
         return None
-    D: Array | sparse.csc_matrix
-    if levers.without_level is None:
-        D = (sparse.diags(lever) @ sparse.csr_matrix(np.array(functions).T)[levers.entry]).tocsc()
-        gram = np.asarray(D.multiply(D).sum(axis=0)).ravel()
-    else:  # a whitened column is nowhere zero after the first visit that it moves
-        D = levers.without_level(lever[:, None] * np.array(functions).T[levers.entry])
-        gram = np.einsum("mc,mc->c", D, D)
-    absorbed = np.asarray(D.T @ space.basis[: space.rows])  # (C, r)
+    D = (sparse.diags(lever) @ sparse.csr_matrix(np.array(functions).T)[levers.entry]).tocsr()
+    filters = levers.filters or Filters(())
+    shares = filters.shares(D).T  # (C, R)
+    taken = shares * filters.taken
+    gram = np.asarray(D.multiply(D).sum(axis=0)).ravel() - np.sum(taken * (2.0 * shares - taken), axis=1)
+    absorbed = np.asarray(D.T @ space.basis[: space.rows]) - taken @ of_basis  # (C, r)
     left = gram - np.sum(absorbed**2, axis=1)
     able = np.flatnonzero(left > WEAK_BELOW * np.maximum(gram, 1e-300))
     if not len(able):
         return None
-    explained = np.asarray(D[:, able].T @ space.residual[: space.rows]) ** 2 / (space.scale**2 * left[able])
-    weight, visit_error = _by_visit(space, visit[levers.entry], lever, D[:, able])
-    return _Tried(effect, j, tuple(shapes[k] for k in able), explained, weight, visit_error, levers)
+    along = np.asarray(D.T @ space.residual[: space.rows]) - taken @ filters.shares(space.residual)
+    explained = along[able] ** 2 / (space.scale**2 * left[able])
+    visits = _Visits.of(visit[levers.entry], lever)
+    products = (visits.sums @ D[:, able]).tocsc()
+    if levers.filters is None:
+        weight = _of_unit_length(products)
+    else:  # every visit then has a part in the level that is taken from the others
+        weight = _of_unit_length(products.toarray() - filters.summed(visits.sums) @ taken[able].T)
+    return _Tried(effect, j, tuple(shapes[k] for k in able), explained, weight, visits.errors(space), levers)
 
 
-def _by_visit(
-    space: Space, visit: Integers, lever: Array, D: Array | sparse.csc_matrix
-) -> tuple[sparse.csc_matrix, Array]:
-    """Weights ``(V, C)`` and errors ``(V,)`` of the visits that see a joint's angle, as :class:`_Tried` has them."""
-    count = int(visit.max(initial=-1)) + 1
-    sees = np.sqrt(np.bincount(visit, lever**2, minlength=count))
-    able = sees > 1e-9 * sees.max(initial=0.0)
-    visit_error = np.bincount(visit, lever * space.residual[: space.rows], minlength=count)[able] / sees[able]
-    visit_error = np.clip(
-        visit_error / max(MAD_TO_STD * float(np.median(np.abs(visit_error))), 1e-300),
-        -LARGEST_RESIDUAL_IN_NULL,
-        LARGEST_RESIDUAL_IN_NULL,
-    )
-    member = sparse.csr_matrix((lever, (visit, np.arange(len(visit)))), shape=(count, len(visit)))
-    weight = sparse.diags(1.0 / sees[able]) @ sparse.csr_matrix(member @ D)[able]
-    length = np.sqrt(np.asarray(weight.multiply(weight).sum(axis=0)).ravel())
-    return (weight @ sparse.diags(1.0 / np.maximum(length, 1e-300))).tocsc(), visit_error
+@dataclass(frozen=True)
+class _Visits:
+    """The visits that see a joint's angle.
+
+    Attributes
+    ----------
+    sums
+        ``(V, M)``: gives the sum of each visit's entries, each times its derivative by the angle, over the length of
+        these.
+    """
+
+    sums: sparse.csr_matrix
+
+    @staticmethod
+    def of(visit: Integers, lever: Array) -> _Visits:
+        """Of each entry ``(M,)``: its visit, and its derivative by the joint's angle."""
+        count = int(visit.max(initial=-1)) + 1
+        sees = np.sqrt(np.bincount(visit, lever**2, minlength=count))
+        able = sees > 1e-9 * sees.max(initial=0.0)
+        member = sparse.csr_matrix((lever, (visit, np.arange(len(visit)))), shape=(count, len(visit)))
+        return _Visits((sparse.diags(1.0 / sees[able]) @ member[able]).tocsr())
+
+    def errors(self, space: Space) -> Array:
+        """Errors of the joint's angle ``(V,)``, as :class:`_Tried` has them."""
+        error = self.sums @ space.residual[: space.rows]
+        error = error / max(MAD_TO_STD * float(np.median(np.abs(error))), 1e-300)
+        return np.asarray(np.clip(error, -LARGEST_RESIDUAL_IN_NULL, LARGEST_RESIDUAL_IN_NULL))
+
+
+def _of_unit_length(columns: Array | sparse.csc_matrix) -> Array | sparse.csc_matrix:
+    """Columns ``(V, C)``, each over its length."""
+    if isinstance(columns, np.ndarray):
+        return columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    length = np.sqrt(np.asarray(columns.multiply(columns).sum(axis=0)).ravel())
+    return (columns @ sparse.diags(1.0 / np.maximum(length, 1e-300))).tocsc()
 
 
 def _refined(estimate: Estimate, space: Space, tried: _Tried) -> Candidate:
@@ -262,7 +290,7 @@ def _column(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -> A
     p: Any = SimpleNamespace(**{amplitude: 1.0, **shapes})
     values = np.asarray(tried.effect.acts["joint_angle"](p, SimpleNamespace(q=q)), dtype=float).ravel()
     column = np.asarray(tried.levers.values[:, tried.joint] * values[tried.levers.entry])
-    return column if tried.levers.without_level is None else tried.levers.without_level(column[:, None])[:, 0]
+    return column if tried.levers.filters is None else tried.levers.filters(column[:, None])[:, 0]
 
 
 def _candidate(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -> Candidate:

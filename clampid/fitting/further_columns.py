@@ -47,7 +47,8 @@ def whitened_columns(estimate: Estimate, extra: Sequence[Slot], values: Sequence
 
     ``values`` ``(E,)``: values of the further slots, SI; zero for amplitudes.
     """
-    return estimate.noise.whiten(estimate.problem.rows, estimate.residual, _derivative(estimate, extra, values))
+    rows, derivative = estimate.problem.rows, _derivative(estimate, extra, values)
+    return estimate.noise.whiten(rows, estimate.residual, derivative, estimate.whitened.filters)
 
 
 def _derivative(estimate: Estimate, extra: Sequence[Slot], values: Sequence[float] | Array) -> Array:

@@ -6,7 +6,6 @@ Jacobian both pass the filter of `clampid.stages.prewhitening`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Protocol
@@ -16,7 +15,7 @@ import numpy.typing as npt
 
 from clampid.chain.piecewise import runs_of
 from clampid.fitting.anisotropy import relative_axes
-from clampid.fitting.wander import Level, waves_of
+from clampid.fitting.wander import Filter, Filters, Level, waves_of
 from clampid.stages.prewhitening import (
     ENOUGH_PAIRS,
     ORDER,
@@ -33,7 +32,6 @@ from clampid.stages.rows import POSE_CHANNELS, Array, Integers, Rows
 __all__ = ["Late", "Noise", "SparseColumns", "Whitened", "groups_of", "initial_noise", "learn_noise", "put_columns"]
 
 LONG_MEMORY_LAG = ORDER // 2 + 1  # from this lag on, an autocorrelation is taken as that of a slow level
-FILTERED_AT_ONCE = 256  # from which a level is taken together: copies of a long table would be large
 MAD_TO_STD = 1.4826  # standard deviation over median absolute deviation, of a normal distribution
 
 
@@ -65,12 +63,15 @@ class Whitened:
         Row ``(M,)`` that each entry came from; the middle row of a group.
     channel
         Column ``(M,)`` of ``measured`` that each entry came from.
+    filters
+        Of poses: what took the wandering level of their coordinates; None if they have none.
     """
 
     residual: Array
     source: Array | Late
     entry: Integers
     channel: Integers
+    filters: Filters | None = None
 
     @property
     def jacobian(self) -> Array:
@@ -85,13 +86,13 @@ class Whitened:
 
     def moved(self, step: Array) -> Whitened:
         """The same after a ``step`` ``(P,)`` of the parameters, for a model that is linear in them."""
-        there = Whitened(self.residual - self.jacobian @ step, self.source, self.entry, self.channel)
+        there = replace(self, residual=self.residual - self.jacobian @ step)
         there.__dict__["normal"] = self.normal
         return there
 
     def with_jacobian_of(self, other: Whitened) -> Whitened:
         """The residual of this, with the Jacobian of ``other``, which has the same rows."""
-        return Whitened(self.residual, other.source, self.entry, self.channel)
+        return replace(self, source=other.source)
 
 
 @dataclass(frozen=True)
@@ -173,8 +174,11 @@ class Noise:
         channels = zip(ratios, self.autocorrelations, again.autocorrelations, again.counts, strict=True)
         return all(settled(*channel) for channel in channels)
 
-    def whiten(self, rows: Rows, residual: Array, jacobian: Array) -> Whitened:
-        """Whiten a residual ``(N, m)`` and a Jacobian ``(N, m, P)`` of these rows, both SI."""
+    def whiten(self, rows: Rows, residual: Array, jacobian: Array, filters: Filters | None = None) -> Whitened:
+        """Whiten a residual ``(N, m)`` and a Jacobian ``(N, m, P)`` of these rows, both SI.
+
+        ``filters``: of these poses by this noise, if they are known already.
+        """
         residual, jacobian = rows.in_noise_axes(residual), rows.in_noise_axes(jacobian)
         if self.autocorrelations:
             return self.whiten_sparse(rows, residual, SparseColumns.of(jacobian))
@@ -182,31 +186,34 @@ class Noise:
         sigma, columns = self.sigma[entry, channel], jacobian[entry, channel]
         columns /= sigma[:, None]  # in place: the Jacobian of a long table is the largest array
         white = residual[entry, channel] / sigma
-        without_level = self.without_level(rows, entry, channel)
-        if without_level is not None:
-            without_level(white[:, None])
-            without_level(columns)
-        return Whitened(white, columns, entry, channel)
+        filters = filters or self._filters(rows, entry, channel)
+        if filters is not None:
+            filters(white[:, None])
+            filters(columns)
+        return Whitened(white, columns, entry, channel, filters)
 
-    def without_level(self, rows: Rows, entry: Integers, channel: Integers) -> Callable[[Array], Array] | None:
-        """What takes the wandering level of poses from columns, in place; None if they have none.
+    def without_level(self, rows: Rows, white: Whitened) -> Whitened:
+        """Poses that this noise has whitened but for its level, without it."""
+        filters = self._filters(rows, white.entry, white.channel)
+        if filters is None:
+            return white
+        residual, jacobian = white.residual.copy(), white.jacobian.copy()
+        filters(residual[:, None])
+        return replace(white, residual=residual, source=filters(jacobian), filters=filters)
 
-        The columns ``(M, k)`` are in units of the noise; ``entry`` and ``channel`` ``(M,)`` are row and channel of each
-        of their numbers.
+    def _filters(self, rows: Rows, entry: Integers, channel: Integers) -> Filters | None:
+        """What takes the wandering level of poses from columns ``(M, k)``; None if they have none.
+
+        ``entry``, ``channel`` ``(M,)``: row and channel of each of their numbers.
         """
         if self.level is None:
             return None
-        numbers = [np.flatnonzero(channel == c) for c in POSE_CHANNELS[0]]
-        filters = [(own, waves_of(rows, entry[own]).filter(self.level)) for own in numbers if len(own)]
-
-        def taken(columns: Array) -> Array:
-            for own, without in filters:
-                for start in range(0, columns.shape[1], FILTERED_AT_ONCE):
-                    some = slice(start, start + FILTERED_AT_ONCE)
-                    columns[own, some] = without(columns[own, some])
-            return columns
-
-        return taken
+        first, last = (np.searchsorted(channel, POSE_CHANNELS[0], side=side) for side in ("left", "right"))
+        found: list[tuple[slice, Filter]] = []
+        for own in (slice(int(a), int(b)) for a, b in zip(first, last, strict=True) if a < b):
+            same = (f for before, f in found if np.array_equal(entry[before], entry[own]))
+            found.append((own, next(same, None) or waves_of(rows, entry[own]).filter(self.level)))
+        return Filters(tuple(found))
 
     def whiten_sparse(self, rows: Rows, residual: Array, jacobian: SparseColumns) -> Whitened:
         """The same of a log, from the columns that are not zero."""

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import interpolate, linalg, stats
+from scipy import interpolate, linalg, sparse, stats
 
 from clampid.stages.rows import Array, Integers, Rows
 
@@ -31,6 +31,7 @@ __all__ = [
     "RANDOM_WALK",
     "WANDER_FALSE_ALARMS",
     "Filter",
+    "Filters",
     "Level",
     "Wander",
     "Waves",
@@ -47,6 +48,7 @@ FLICKER, RANDOM_WALK = 1, 2  # power of the frequency by which the variance fall
 VARIANCES = tuple(float(10.0**k) for k in np.arange(-4.0, 4.1, 0.5))
 # Of the gain of flicker noise, that a walk has at least: in nine of ten simulated readings, or all if it is strong.
 SEEN_BY_A_WALK = 0.75
+FILTERED_AT_ONCE = 256  # columns from which a level is taken together: copies of a long table would be large
 MOST_WAVES = 200  # of a channel; faster ones have less of the level than of white noise
 ANYWHERE = 6.0  # variance of the level's mean over that about the mean: as after a random walk of the same length
 TAKES_NOTHING = 1e-4  # variance of a direction of the level, over that of a number, below which it is left out
@@ -163,6 +165,44 @@ class Filter:
     def __call__(self, values: Array) -> Array:
         """Columns ``(k, c)`` without the level: noise of unit variance, independent."""
         return np.asarray(values - self.directions @ (self.taken[:, None] * (self.directions.T @ values)))
+
+
+@dataclass(frozen=True, eq=False)
+class Filters:
+    """The filters of some channels of poses: F = 1 - Q T Q' for the entries of all of them.
+
+    Q are the orthonormal directions, T the parts taken, so that F is symmetric. R directions in all.
+
+    Attributes
+    ----------
+    parts
+        The entries of each channel, and their filter.
+    """
+
+    parts: tuple[tuple[slice, Filter], ...]
+
+    @property
+    def taken(self) -> Array:
+        """T ``(R,)``, channel after channel."""
+        return np.concatenate([np.zeros(0), *(f.taken for _, f in self.parts)])
+
+    def shares(self, columns: Array | sparse.csr_matrix) -> Array:
+        """Q' columns ``(R, …)``, of columns ``(M, …)``; the entries may be followed by others."""
+        own = (f.directions.T @ columns[own] for own, f in self.parts)
+        return np.concatenate([np.zeros((0, *columns.shape[1:])), *own])
+
+    def summed(self, sums: sparse.csr_matrix) -> Array:
+        """Q summed ``(groups, R)``: by weighted sums ``(groups, M)`` of the entries."""
+        own = (sums[:, own] @ f.directions for own, f in self.parts)
+        return np.hstack([np.zeros((sums.shape[0], 0)), *own])
+
+    def __call__(self, columns: Array) -> Array:
+        """Take the level from columns ``(M, k)``, in place."""
+        for own, without in self.parts:
+            for start in range(0, columns.shape[1], FILTERED_AT_ONCE):
+                some = slice(start, start + FILTERED_AT_ONCE)
+                columns[own, some] = without(columns[own, some])
+        return columns
 
 
 def waves_of(rows: Rows, entry: Integers, shown: Array | None = None) -> Waves:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
-from clampid.diagnosis.candidate_scores import rivals_of
+from clampid.diagnosis.candidate_scores import Wandering, rivals_of
 from clampid.diagnosis.linear_refit import at_fit, step_towards
 from clampid.diagnosis.pruning import pays
 from clampid.diagnosis.remains import CLEARLY, above_the_floor
@@ -258,7 +258,9 @@ def test_a_candidate_scored_beside_wandering_readings_is_stepped_to_in_the_noise
     (other,) = (s for s in named if s.candidate.label == "gear_eccentricity@joint2")
     (same,) = (s for s in bench.scores(fitted, 0).named if s.candidate.label == other.candidate.label)
     assert bench.alone(fitted, other) == pytest.approx(bench.alone(fitted, same), rel=1e-6)
-    beside = replace(bench.scores(fitted, 0), space=space, named=named, wander=level, noise_of_fit=False)
+    beside = replace(
+        bench.scores(fitted, 0), space=space, named=named, wandering=Wandering(level, frozenset()), noise_of_fit=False
+    )
     step, known, bare = _step(other, beside, fitted), step_towards(estimate, same), step_towards(estimate, other)
     assert step is not None
     assert known is not None

@@ -8,8 +8,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from clampid.catalogue import catalogue
+from clampid.diagnosis import scoring, stage
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.drift import blocks_of_visits, drift_of
+from clampid.diagnosis.folds import Folds
+from clampid.diagnosis.scoring import scores_of
+from clampid.diagnosis.search import Searched, search
+from clampid.diagnosis.trial import Bench
+from clampid.diagnosis.wandering import level_beside
+from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from experiments.campaign import Campaign
@@ -43,6 +51,52 @@ def test_wandering_noise_is_warned_of(simulated, seed: int):
     verdict = diagnose(identify([campaign]), campaign).stages["poses"]
     assert "second run in another order" in verdict.warnings[0]
     assert verdict.summary.endswith(verdict.warnings[0])
+
+
+def walking(campaign: Campaign, step: float, seed: int) -> Campaign:
+    """The campaign with an instrument that walks: independent steps from visit to visit, by coordinate."""
+    rng = np.random.default_rng(seed)
+    table = campaign.tables["poses"].copy()
+    _, visit = np.unique(table.groupby(["pose", "visit"])["time_s"].transform("mean"), return_inverse=True)
+    walk = np.cumsum(rng.normal(size=(visit.max() + 1, 3)), axis=0)
+    table[["x_m", "y_m", "z_m"]] += step * walk[visit]
+    return replace(campaign, tables={**campaign.tables, "poses": table})
+
+
+def test_a_walk_that_is_known_leaves_no_drift_and_is_sought_once(simulated, monkeypatch: pytest.MonkeyPatch):
+    """Poses were searched again, with blocks of visits, though the noise by which they were judged was the walk."""
+    campaign = walking(clean(simulated, 1), 0.5 * NOISE, 1)
+    opened = on_campaign(identify([campaign]), campaign)
+    estimate = opened.refit("poses").estimate
+    wander = level_beside(estimate, [])
+    assert wander is not None
+    assert drift_of(estimate) is not None
+    assert drift_of(estimate, wander) is None
+    blocks = list[int]()
+
+    def searched(bench: Bench, fitted: FittedStage) -> Searched | Folds:
+        blocks.append(bench.block)
+        return search(bench, fitted)
+
+    monkeypatch.setattr(stage, "search", searched)
+    found = diagnose(identify([campaign]), campaign).stages["poses"]
+    assert blocks == [1]
+    assert "second run in another order" in found.warnings[0]
+
+
+def test_poses_that_are_scored_again_are_taken_to_wander_as_before(simulated, monkeypatch: pytest.MonkeyPatch):
+    campaign = walking(clean(simulated, 1), 0.5 * NOISE, 1)
+    opened = on_campaign(identify([campaign]), campaign)
+    fitted = opened.refit("poses")
+    estimate = fitted.estimate
+    first = scores_of(estimate, catalogue(), 199, 0)
+    assert first.wandering is not None
+    monkeypatch.setattr(scoring, "level_beside", None)  # not sought again
+    again = scores_of(estimate, catalogue(), 199, 0, seen=first.wandering)
+    assert again.wandering == first.wandering
+    np.testing.assert_allclose([s.explained for s in again.named], [s.explained for s in first.named])
+    assert [s.state for s in again.named] == [s.state for s in first.named]
+    assert any(s.state == "absorbed" for s in first.named)
 
 
 @pytest.mark.slow

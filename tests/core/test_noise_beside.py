@@ -14,7 +14,7 @@ from clampid.diagnosis.confirm import cross_fitted_fall
 from clampid.diagnosis.noise_beside import with_equal_weights, with_noise_about_its_mean, with_noise_beside
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.scoring import scored_beside_probes, scores_of
-from clampid.diagnosis.wandering import whitened_by, with_wander
+from clampid.diagnosis.wandering import level_beside, whitened_by
 from clampid.evidence.flips import Flips
 from clampid.evidence.score import Scored, score
 from clampid.evidence.space import space_of
@@ -111,11 +111,11 @@ def test_a_constant_error_is_no_noise(clean: Estimate) -> None:
 def test_a_constant_error_does_not_wander(clean: Estimate) -> None:
     """A walk that begins anywhere was likelier than the constant, and then hid it."""
     lacking = with_error(clean, np.full(len(clean.residual), 1.5))
-    assert with_wander(with_noise_about_its_mean(lacking) or lacking, []) is None
+    assert level_beside(with_noise_about_its_mean(lacking) or lacking, []) is None
     steps = 0.05 * np.random.default_rng(0).standard_normal(len(clean.residual))
     walking = with_error(clean, 1.5 + np.cumsum(steps))
     walking = with_noise_about_its_mean(walking) or walking
-    assert with_wander(whitened_by(walking, walking.noise.of_short_memory), []) is not None
+    assert level_beside(whitened_by(walking, walking.noise.of_short_memory), []) is not None
 
 
 def test_without_a_constant_error_the_noise_stays_as_it_was(clean: Estimate) -> None:

@@ -14,8 +14,9 @@ from clampid.catalogue import catalogue
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.scoring import scores_of
-from clampid.diagnosis.wandering import WANDERS, whitened_by, with_wander
-from clampid.evidence.columns import Filtered
+from clampid.diagnosis.wandering import WANDERS, level_beside, whitened_by
+from clampid.evidence.columns import Columns, Filtered, channel_starts
+from clampid.evidence.joined import Joined
 from clampid.evidence.scan import scan
 from clampid.evidence.score import score
 from clampid.evidence.space import space_of
@@ -189,9 +190,20 @@ def test_probes_and_bumps_pass_the_filter_after_they_are_formed(simulated: Calla
     np.testing.assert_allclose(probe.columns.dense(count), expected(*waves), atol=1e-9)
     late = [p for p in probes(wandering) if isinstance(p.columns, Filtered)]
     space = space_of(wandering)
-    tables = [replace(p, columns=p.columns.table) for p in late if isinstance(p.columns, Filtered)]
+    pieces = channel_starts(wandering.whitened)
+    dense = [p.columns.dense(count) for p in late]
+    tables = [
+        replace(p, columns=Columns(tuple((a, D[a:b]) for a, b in pieces), D.shape[1]))
+        for p, D in zip(late, dense, strict=True)
+    ]
+    for p, D in zip(late, dense, strict=True):
+        np.testing.assert_allclose(p.columns.gram(), D.T @ D, atol=1e-9 * np.abs(D.T @ D).max())
+        np.testing.assert_allclose(p.columns.cross(late[0].columns), D.T @ dense[0], atol=1e-6)
+    some = late[::7]
+    expected_sums = np.hstack(dense[::7]).T @ space.by_unit.over(0, count).T
+    np.testing.assert_allclose(Joined([p.columns for p in some]).summed(space.by_unit), expected_sums, atol=1e-8)
     for one, other in zip(score(space, late), score(space, tables), strict=True):
-        assert one.explained == pytest.approx(other.explained, rel=1e-9, abs=1e-9)
+        assert one.explained == pytest.approx(other.explained, rel=1e-7, abs=1e-7)
         assert isinstance(one.candidate.columns, Filtered)  # no table is kept
     known = {"local_angle_error": catalogue()["local_angle_error"]}
     (bump,) = (s for s in scan(wandering, space_of(wandering), known, 99, 0) if s.candidate.places == ("joint3",))
@@ -288,7 +300,7 @@ def test_a_smooth_swing_of_the_instrument_is_no_wandering(tmp_path: Path) -> Non
     campaign = read_campaign(tmp_path / "arm")
     opened = on_campaign(identify(campaign), campaign)
     estimate = opened.refit("poses", opened.rows("poses")).estimate
-    assert with_wander(estimate, []) is None
+    assert level_beside(estimate, []) is None
     assert wander_of(*lasting(estimate), flickers=False) is not None  # as slow noise it would be seen
 
 
