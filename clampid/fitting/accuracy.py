@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from clampid.fitting.anisotropy import scatter_in_groups
 from clampid.fitting.descent import newton_step
 from clampid.fitting.fit import without_outlying
 from clampid.fitting.noise import Noise
@@ -54,12 +55,16 @@ class Floor:
         Poses: typical repeatability of a robot of that size, rms in m; 0 where returns to poses measure it.
     freedom
         Poses: degrees of freedom of the returns, the fewer of points and distances; 0 if returns are too few.
+    in_visits
+        Poses: how the points of single visits scatter about their mean, rms in m; 0 where returns measure the noise, or
+        visits have one point. No motion of the flange explains it, so that it is noise even if more than was stated.
     """
 
     sigma: Array
     source: Literal["replicates", "instrument", "log", "repeated_runs", "regression"]
     repeats: float = 0.0
     freedom: int = 0
+    in_visits: float = 0.0
 
     @property
     def norm(self) -> float:
@@ -69,7 +74,7 @@ class Floor:
     @property
     def most(self) -> float:
         """Poses: the largest error that noise and the robot's repeatability explain, m."""
-        return float(np.hypot(self.norm, self.repeats))
+        return float(np.hypot(max(self.norm, self.in_visits), self.repeats))
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,7 @@ def noise_floor(rows: Rows, residual: Array) -> Floor:
     lacks an effect that these rows determine.
     """
     if rows.kind.points:
-        return _pose_floor(rows)
+        return _pose_floor(rows, residual)
     run, time = rows.series.run, rows.constants.time
     lag = QUIET_ROWS
     if rows.kind.moving and len(time) > 1:
@@ -120,7 +125,7 @@ def _spread(run: Integers, residual: Array, used: Bools, lag: int) -> float:
     return float(np.sqrt(np.mean(residual[used] ** 2))) if used.any() else 1.0
 
 
-def _pose_floor(rows: Rows) -> Floor:
+def _pose_floor(rows: Rows, residual: Array) -> Floor:
     """Noise floor of poses: points and distances, each from its own returns if there are enough, by shares of rows."""
     kinds = [(~rows.ranged, [0, 1, 2]), (rows.ranged, [6])]
     variances, sources, repeats = [], [], 0.0
@@ -138,7 +143,15 @@ def _pose_floor(rows: Rows) -> Floor:
             spread = np.sqrt(np.mean(rows.sigma[mine][:, channels] ** 2, axis=0)) if mine.any() else np.zeros(3)
         variances.append(np.mean(mine) * spread**2)
     source: Literal["replicates", "instrument"] = "instrument" if "instrument" in sources else "replicates"
-    return Floor(np.sqrt(np.concatenate(variances)), source, float(np.sqrt(repeats)), min(freedom))
+    in_visits = _in_visits(rows, residual) if source == "instrument" else 0.0
+    return Floor(np.sqrt(np.concatenate(variances)), source, float(np.sqrt(repeats)), min(freedom), in_visits)
+
+
+def _in_visits(rows: Rows, residual: Array) -> float:
+    """How the points of single visits scatter about their mean, rms of the norm in m; 0 if hardly any has several."""
+    points = rows.used[:, :3].all(axis=1) & ~rows.ranged
+    squares, freedom = scatter_in_groups(residual[points, :3], rows.unit[points])
+    return float(np.sqrt(squares.sum() / freedom)) if freedom >= ENOUGH_RETURNS else 0.0
 
 
 def _returns(rows: Rows, mine: Bools, channels: Sequence[int]) -> tuple[Array, int] | None:

@@ -16,7 +16,7 @@ from scipy import stats
 
 from clampid.stages.rows import Array, Integers, Rows
 
-__all__ = ["relative_axes"]
+__all__ = ["relative_axes", "scatter_in_groups"]
 
 ANISOTROPY_FALSE_ALARMS = 1e-3  # chance that isotropic noise is taken as anisotropic
 MIN_GROUPS = 20  # visits, or points with returns
@@ -37,7 +37,7 @@ def relative_axes(rows: Rows, residual: Array) -> Array:
     level = np.ones(AXES)
     known = rows.used[:, :AXES].all(axis=1)
     white = (rows.in_noise_axes(residual)[:, :AXES] / rows.sigma[:, :AXES])[known]
-    squares, freedom = _scatter(white, _groups(rows)[known])
+    squares, freedom = scatter_in_groups(white, _groups(rows)[known])
     if len(squares) < MIN_GROUPS:
         return level
     logs = np.log(squares + SMALLEST_SQUARE)
@@ -60,10 +60,10 @@ def _groups(rows: Rows) -> Integers:
     return np.asarray(np.unique(same, axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
 
 
-def _scatter(white: Array, group: Integers) -> tuple[Array, int]:
+def scatter_in_groups(errors: Array, group: Integers) -> tuple[Array, int]:
     """Sums of squares about the mean of each group of two rows or more ``(G, 3)``; degrees of freedom of each axis."""
     _, group, count = np.unique(group, return_inverse=True, return_counts=True)
-    sums = np.column_stack([np.bincount(group, column) for column in white.T])
-    off = (white - (sums / count[:, None])[group]) ** 2
+    sums = np.column_stack([np.bincount(group, column) for column in errors.T])
+    off = (errors - (sums / count[:, None])[group]) ** 2
     squares = np.column_stack([np.bincount(group, column) for column in off.T])[count > 1]
     return np.asarray(squares, dtype=float), int((count[count > 1] - 1).sum())

@@ -53,6 +53,24 @@ def test_check_and_the_floor_say_the_same(base: Campaign, count: int) -> None:
     assert said.endswith("give the noise floor")
 
 
+def test_points_of_single_visits_may_scatter_more_than_the_instrument_is_said_to(base: Campaign) -> None:
+    """An instrument twice as noisy as stated; each fifth pose 1 mm off, which moves the points of a visit alike."""
+    rows = pose_rows([base], layout_of([base]), "poses")
+    rng = np.random.default_rng(2)
+    stated = float(np.sqrt(np.sum(rows.sigma[0, :3] ** 2)))
+    errors = 2.0 * rows.sigma * rng.standard_normal(rows.measured.shape)
+    _, visit = np.unique(rows.unit, return_inverse=True)
+    off = 1e-3 * rng.standard_normal((visit.max() + 1, 3)) * (np.arange(visit.max() + 1) % 5 == 0)[:, None]
+    errors[:, :3] += off[visit]
+    floor = noise_floor(rows, errors)
+    assert floor.source == "instrument"
+    assert floor.norm == pytest.approx(stated)
+    assert floor.in_visits == pytest.approx(2.0 * stated, rel=0.1)
+    assert floor.most == pytest.approx(np.hypot(floor.in_visits, floor.repeats))
+    alone = rows.take(np.unique(rows.unit, return_index=True)[1])  # one point a visit tells nothing
+    assert noise_floor(alone, errors[: len(alone)]).in_visits == 0.0
+
+
 def test_returns_with_another_approach_do_not_count() -> None:
     place = np.zeros((6, 1))
     visit = np.array([1, 1, 2, 3, 4, 5])
