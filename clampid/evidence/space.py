@@ -61,8 +61,9 @@ class Space:
         further[: self.rows] = columns
         length = np.linalg.norm(further, axis=0)
         further = further[:, length > 0] / length[length > 0]
-        Q, R, _ = linalg.qr(further - self.basis @ (self.basis.T @ further), mode="economic", pivoting=True)
-        kept = np.asarray(Q, dtype=float)[:, np.abs(np.diag(R)) > np.sqrt(ABSORBED)]
+        further -= self.basis @ (self.basis.T @ further)
+        left, turn = np.linalg.eigh(further.T @ further)
+        kept = further @ (turn[:, left > ABSORBED] / np.sqrt(left[left > ABSORBED]))
         basis = np.hstack([self.basis, kept - self.basis @ (self.basis.T @ kept)])
         residual = self.residual - kept @ (kept.T @ self.residual)
         freedom = max(self.freedom - kept.shape[1], 1)

@@ -94,11 +94,12 @@ def fit(
     shared = Shared()
     estimate = _past_clearances(solve(problem, theta, model, precision, mean, errors=early, shared=shared))
     whole, agreed = problem.rows, np.zeros(len(rejected), dtype=bool)
+    left = _share_left(estimate) if reject else None  # few rows are rejected, so that it hardly changes
     for _ in range(OUTLIER_PASSES if reject else 0):
         if problem.kind.points:  # rejected rows are tested again: other outliers may have caused their errors
             bad = outlying(whole, estimate.residual) & ~agreed
         else:
-            bad = rejected | outlying(problem.rows, _studentised(estimate))
+            bad = rejected | outlying(problem.rows, estimate.residual if left is None else estimate.residual / left)
         if bad.mean() <= AGREEING_SHARE:
             agreed |= _agreeing(whole, bad, estimate.residual)
             bad &= ~agreed
@@ -236,9 +237,9 @@ def _absorbed(estimate: Estimate) -> Array | None:
     return np.asarray(jacobian @ root)
 
 
-def _studentised(estimate: Estimate) -> Array:
-    """Studentised residuals ``(N, m)`` of a log (:mod:`clampid.fitting.leverage`); as they are in other stages."""
-    problem, out = estimate.problem, estimate.residual.copy()
+def _share_left(estimate: Estimate) -> Array:
+    """Share ``(N, m)`` of each number's noise that a fit of a log leaves (:mod:`clampid.fitting.leverage`); else 1."""
+    problem, out = estimate.problem, np.ones_like(estimate.residual)
     if not problem.kind.moving:
         return out
     if not estimate.noise.autocorrelations:
@@ -246,7 +247,7 @@ def _studentised(estimate: Estimate) -> Array:
         root = root_of_inverse(white.normal + estimate.prior_precision)
         for motor in np.unique(white.channel):
             own = white.channel == motor
-            out[white.entry[own], motor] /= share_left(white.jacobian[own], root)
+            out[white.entry[own], motor] = share_left(white.jacobian[own], root)
         return out
     # Leverage is that of the rows, not of the prewhitened ones.
     _, jacobian = problem.residual(estimate.theta)
@@ -258,7 +259,7 @@ def _studentised(estimate: Estimate) -> Array:
         of_motor.append((used, shown, columns))
     root = root_of_inverse(normal)
     for motor, (used, shown, columns) in enumerate(of_motor):
-        out[used, motor] /= share_left(columns, root[shown])
+        out[used, motor] = share_left(columns, root[shown])
     return out
 
 
