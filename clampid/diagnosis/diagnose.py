@@ -37,6 +37,7 @@ from experiments.plans.errors import PlanError
 __all__ = ["Diagnosis", "diagnose", "with_fits"]
 
 FLIPS = 199
+LARGEST_KEPT_FIT = 300  # parameters: a fit of twice as many holds 20 MB, and one is kept for every trial
 
 
 @dataclass(frozen=True, repr=False)
@@ -178,12 +179,12 @@ def _one(
     def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:
         known, held_out = {**last.model.values(), **start}, opened.held_out(stage)
         others = opened.stages[stage].carried_prior or before
-        # Poses may be looked through twice, and then most of what is fitted is the same. A fit of a log is too large.
+        # Poses may be searched twice, and then most of what is fitted is the same. Some fits are too large to be kept.
         key = (tuple(terms), tuple(known.items()), float(last.estimate.noise.sigma.sum()))
         found = done.get(key)
         if found is None:
             found = fit_stage(rows, opened.effects, terms, others, known, held_out, last=last.estimate)
-            if kind_of(stage).points:
+            if kind_of(stage).points and len(found.estimate.theta) <= LARGEST_KEPT_FIT:
                 done[key] = found
         return found
 

@@ -106,9 +106,8 @@ def _evidence_of(s: Scored, space: Space, entry: Integers, rows: int) -> Array:
     entry
         ``(M,)``: the row of each whitened number.
     """
-    columns = s.candidate.columns.dense(space.rows)
-    acts = np.any(columns != 0.0, axis=1)
-    left = s.directions(columns[acts], space.basis[: space.rows][acts])
+    acts = np.any(s.candidate.columns.dense(space.rows) != 0.0, axis=1)
+    left = s.directions(space.basis)[: space.rows][acts]
     return np.asarray(np.bincount(entry[acts], np.sum(left**2, axis=1), rows), dtype=float)
 
 

@@ -145,7 +145,7 @@ def _scatter(space: Space, s: Scored) -> Array:
     A unit's residual is that of the fit without the unit (the jackknife), because the residual of the full fit is too
     small, the more so with few rows: r + B (1 - B'B)^-1 B'r with B the unit's rows of all orthonormal directions.
     """
-    directions = s.directions(s.candidate.columns.dense(len(space.residual)), space.basis)
+    directions = s.directions(space.basis)
     left = space.residual - directions @ s.amplitude
     every = np.hstack([space.basis, directions])
     order = np.argsort(space.unit[: space.rows], kind="stable")  # a prior's pseudo-rows have no scatter

@@ -116,6 +116,13 @@ class Columns:
             out[start : start + len(block)] = block
         return out
 
+    def combined(self, weights: Array, entries: int) -> Array:
+        """``(entries, f)``: D weights, for weights ``(k, f)``."""
+        out = np.zeros((entries, weights.shape[1]))
+        for start, block in self.pieces:
+            out[start : start + len(block)] = block @ weights
+        return out
+
 
 @dataclass(frozen=True, eq=False)
 class Levers:
@@ -241,6 +248,13 @@ class Products:
             out[: len(entry), mine] = F[entry] * self.levers.values[:, i, None]
         return out
 
+    def combined(self, weights: Array, entries: int) -> Array:
+        """``(entries, f)``: D weights, for weights ``(k, f)``."""
+        out, entry = np.zeros((entries, weights.shape[1])), self.levers.entry
+        for i, F, mine in self.placed:
+            out[: len(entry)] += (F @ weights[mine])[entry] * self.levers.values[:, i, None]
+        return out
+
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
@@ -280,6 +294,12 @@ class Filtered:
     def dense(self, entries: int) -> Array:
         """``(entries, k)``."""
         out = self.products.dense(entries)
+        self.filters(out[: len(self.products.levers.entry)])
+        return out
+
+    def combined(self, weights: Array, entries: int) -> Array:
+        """``(entries, f)``: the columns times weights ``(k, f)``."""
+        out = self.products.combined(weights, entries)
         self.filters(out[: len(self.products.levers.entry)])
         return out
 

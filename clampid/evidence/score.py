@@ -24,7 +24,6 @@ import numpy as np
 from scipy import linalg
 
 from clampid.evidence.candidates import Candidate
-from clampid.evidence.columns import AnyColumns
 from clampid.evidence.joined import Joined
 from clampid.evidence.of_size import of_any_size, of_size
 from clampid.evidence.space import ABSORBED, Space
@@ -137,15 +136,11 @@ class Scored:
         """Independent directions of the candidate in these rows."""
         return int(self.weights.shape[1])
 
-    def directions(self, columns: Array, basis: Array) -> Array:
-        """The candidate's orthonormal directions ``(M, f)``.
-
-        Parameters
-        ----------
-        columns, basis
-            The candidate's whitened columns ``(M, k)``, and the basis ``(M, r)`` of what the fit absorbs.
-        """
-        return np.asarray((columns - basis @ self.absorbed) @ self.weights)
+    def directions(self, basis: Array) -> Array:
+        """The candidate's orthonormal directions ``(M + p, f)``, outside the basis ``(M + p, r)`` of the fit's span."""
+        out = self.candidate.columns.combined(self.weights, len(basis))
+        out -= basis @ (self.absorbed @ self.weights)
+        return out
 
     @property
     def value(self) -> Array:
@@ -210,23 +205,21 @@ def score(space: Space, candidates: Sequence[Candidate]) -> list[Scored]:
     out = list[Scored]()
     for some, lines in Joined([c.columns for c in candidates]).batches(space.basis, COLUMNS_AT_ONCE):
         by_unit = some.summed(space.by_unit) - lines @ space.basis_by_unit.T
-        own = zip(candidates[len(out) :], some.members, some.own(lines), some.own(by_unit), strict=False)
+        own = zip(candidates[len(out) :], some.own(lines), some.own(by_unit), strict=False)
         out += [_score_one(space, *one) for one in own]
     return out
 
 
-def _score_one(space: Space, c: Candidate, columns: AnyColumns, lines: Array, by_unit: Array) -> Scored:
+def _score_one(space: Space, c: Candidate, lines: Array, by_unit: Array) -> Scored:
     """Score one candidate.
 
     Parameters
     ----------
-    columns
-        Its columns, as tables if they are filtered.
     lines, by_unit
         Products of its columns with the basis ``(k, r)``, and each unit's share in their products with the residual
         ``(k, U)``.
     """
-    k = columns.width
+    columns, k = c.columns, c.columns.width
     gram = columns.gram()
     length = np.sqrt(np.diag(gram))
     absorbed = lines.T.copy()  # a view would keep those of all candidates
@@ -294,8 +287,7 @@ def _score_one(space: Space, c: Candidate, columns: AnyColumns, lines: Array, by
     of_many = len(shown) > MOST_UNITS and tail_of(moments, shown.sum() ** 2 / space.scale**2) < ENOUGH
     if of_many or len(kept) > MOST_DIRECTIONS:
         return found
-    directions = found.directions(columns.dense(len(space.residual)), space.basis)
-    return replace(found, studentised=studentised(space, directions, parts, kept, len(c.sizes)))
+    return replace(found, studentised=studentised(space, found.directions(space.basis), parts, kept, len(c.sizes)))
 
 
 def _charge(reach: Array, amplitude: Array, space: Space) -> float:

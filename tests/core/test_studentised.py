@@ -48,7 +48,7 @@ def test_the_denominator_is_what_the_fit_with_the_candidate_leaves(columns: int)
     sp, (c, *_) = drawn(rng, unit, columns)
     s = score(sp, [c])[0]
     assert s.studentised is not None
-    Z = s.directions(c.columns.dense(60), sp.basis)
+    Z = s.directions(sp.basis)
     for signs in (np.ones(12), rng.choice([-1.0, 1.0], size=12)):
         parts = signs[:, None] * s.parts
         a, left = parts.sum(axis=0), 0.0
@@ -109,7 +109,7 @@ def test_what_a_prior_knows_needs_no_degrees_of_freedom():
     unit = np.r_[np.repeat(np.arange(4), 10), 4]
     sp = Space(y - Q @ (Q.T @ y), Q, unit, 1.0, count - 1, count, np.ones(1))
     s = score(sp, [candidate(J + 0.05 * rng.standard_normal((count, 1)))])[0]
-    Z = s.directions(s.candidate.columns.dense(count + 1), sp.basis)[:, 0]
+    Z = s.directions(sp.basis)[:, 0]
     share = np.bincount(unit, Z**2)
     assert share[4] > 0.3  # of it shows in the prior's row
     assert s.studentised is not None

@@ -199,6 +199,7 @@ def test_probes_and_bumps_pass_the_filter_after_they_are_formed(simulated: Calla
     for p, D in zip(late, dense, strict=True):
         np.testing.assert_allclose(p.columns.gram(), D.T @ D, atol=1e-9 * np.abs(D.T @ D).max())
         np.testing.assert_allclose(p.columns.cross(late[0].columns), D.T @ dense[0], atol=1e-6)
+        np.testing.assert_allclose(p.columns.combined(np.eye(D.shape[1])[:, :3], count), D[:, :3], atol=1e-9)
     some = late[::7]
     expected_sums = np.hstack(dense[::7]).T @ space.by_unit.over(0, count).T
     np.testing.assert_allclose(Joined([p.columns for p in some]).summed(space.by_unit), expected_sums, atol=1e-8)
