@@ -1,14 +1,15 @@
-"""Effects that act over a few degrees of one joint, such as a bump, tried at every angle that poses visited.
+"""Effects that act over a few degrees of one joint, such as a bump, tried at every angle of the poses.
 
 The column of an angle is the derivative of the measurement by the joint's angle, times the effect's shape about that
 angle. So the effect is evaluated once, and each angle costs a product. The best angle of each joint becomes a
 candidate. If it is nearly significant, its shape is refined between the angles tried; each shape parameter is charged
-like an amplitude. An angle needs several visits near it: the error of a single visit may have a cause of its own.
+like an amplitude. An angle needs several poses near it: the error of a single pose may have a cause of its own, which
+returns with each visit.
 
-Such an effect moves only a few visits. Sign flips are no valid null for it: with a dozen visits that are all far off,
-flipped signs reach sums as large as the observed one far too often. The null is therefore that the visits' errors are
-exchangeable: each visit's error of a joint's angle, in standard deviations and clipped at three, is permuted at random
-among the visits. The maximum over all angles of all joints follows Gumbel's law of extremes, fitted to the permutations
+Such an effect moves only a few poses. Sign flips are no valid null for it: with a dozen poses that are all far off,
+flipped signs reach sums as large as the observed one far too often. The null is therefore that the poses' errors are
+exchangeable: each pose's error of a joint's angle, in standard deviations and clipped at three, is permuted at random
+among the poses. The maximum over all angles of all joints follows Gumbel's law of extremes, fitted to the permutations
 by its mean and variance. The p-value of a candidate is that of this maximum. It counts as one more test among the named
 effects. Sources: Fisher, The Design of Experiments, 1935, for the permutations; Gumbel, Statistics
 of Extremes, 1958.
@@ -40,14 +41,14 @@ from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array, Integers
 from clampid.stages.stage_kind import kind_of
 
-__all__ = ["FEWEST_VISITS", "place_of", "scan"]
+__all__ = ["FEWEST_POSES", "place_of", "scan"]
 
-FEWEST_VISITS = 4  # near an angle: three determine height, middle and width of a bump, one more may contradict them
-MIN_SHARE_OF_HEIGHT = 0.1  # of a bump, at a visit that counts as near
+FEWEST_POSES = 4  # near an angle: three determine height, middle and width of a bump, one more may contradict them
+MIN_SHARE_OF_HEIGHT = 0.1  # of a bump, at a pose that counts as near
 ANGLES_PER_TURN = 3600  # at which a shape is tabulated
-# Standard deviations at which visits are clipped in the null: one wrong visit of three must not look like a bump.
+# Standard deviations at which poses are clipped in the null: one wrong pose of three must not look like a bump.
 LARGEST_RESIDUAL_IN_NULL = 3.0
-FADED = 1e-9  # of a column's largest number: beside readings that wander, a visit fades from the numbers after it
+FADED = 1e-9  # of a column's largest number: a smaller one is rounding
 REFINED_BELOW = 0.1  # p: the shape of what is not nearly significant is left at the best angle tried
 SCAN_STEP = 2.0 / 3.0  # distance of the angles tried, in widths at half height: at most a tenth of the height is missed
 
@@ -65,9 +66,9 @@ class _Tried:
     explained
         ``(C,)``: sum of squares explained, in units of the residual's variance.
     weight
-        ``(V, C)``, columns of unit length: the shape as each visit sees it.
-    visit_error
-        ``(V,)``: error of the joint's angle at each visit, in robust standard deviations over the visits (from their
+        ``(V, C)``, columns of unit length: the shape as each pose sees it.
+    error
+        ``(V,)``: error of the joint's angle at each pose, in robust standard deviations over the poses (from their
         median), clipped at :data:`LARGEST_RESIDUAL_IN_NULL`.
     levers
         Derivatives by the joints' angles.
@@ -78,7 +79,7 @@ class _Tried:
     shapes: tuple[Mapping[str, float], ...]
     explained: Array
     weight: Array | sparse.csc_matrix
-    visit_error: Array
+    error: Array
     levers: Levers
 
     @property
@@ -86,9 +87,9 @@ class _Tried:
         """The shapes that explain most."""
         return self.shapes[int(np.argmax(self.explained))]
 
-    def statistic(self, visit_error: Array) -> Array:
-        """What each angle explains of visit errors ``(..., V)``: ``(..., C)``, of mean 1 under the null."""
-        return np.asarray(visit_error @ self.weight) ** 2
+    def statistic(self, error: Array) -> Array:
+        """What each angle explains of the poses' errors ``(..., V)``: ``(..., C)``, of mean 1 under the null."""
+        return np.asarray(error @ self.weight) ** 2
 
 
 def scan(estimate: Estimate, space: Space, effects: Mapping[str, Effect], exchanges: int, seed: int) -> list[Scored]:
@@ -101,20 +102,20 @@ def scan(estimate: Estimate, space: Space, effects: Mapping[str, Effect], exchan
     effects
         All known effects, by name.
     exchanges, seed
-        Number of random permutations of the visits, and their seed.
+        Number of random permutations of the poses, and their seed.
     """
     tried = _all_places(estimate, space, effects)
     if not tried:
         return []
     rng, maxima = np.random.default_rng(seed), np.zeros(exchanges)
     for t in tried:
-        order = np.argsort(rng.random((exchanges, len(t.visit_error))), axis=1)
-        maxima = np.maximum(maxima, t.statistic(t.visit_error[order]).max(axis=1))
+        order = np.argsort(rng.random((exchanges, len(t.error))), axis=1)
+        maxima = np.maximum(maxima, t.statistic(t.error[order]).max(axis=1))
     spread = max(float(np.std(maxima)) * np.sqrt(6.0) / np.pi, 1e-9)
     middle = float(np.mean(maxima)) - np.euler_gamma * spread
     found = []
     for t in tried:
-        off = (float(t.statistic(t.visit_error).max()) - middle) / spread
+        off = (float(t.statistic(t.error).max()) - middle) / spread
         log_p = float(np.log(-np.expm1(-np.exp(-off)))) if off < 30.0 else -off
         best = _refined(estimate, space, t) if log_p < np.log(REFINED_BELOW) else _candidate(estimate, t, t.best)
         chosen = len(best.shapes) * float(np.log(max(space.rows, 2)))
@@ -187,7 +188,7 @@ def _places(
     lever = levers.values[:, j]
     seen = np.zeros(len(rows), dtype=bool)
     seen[levers.entry[lever != 0.0]] = True
-    _, visit = np.unique(rows.unit, return_inverse=True)
+    _, pose = np.unique(rows.fold, return_inverse=True)
     shapes: list[Mapping[str, float]] = []
     functions = []
     for chosen, table in tables:
@@ -195,7 +196,7 @@ def _places(
         inside = size > MIN_SHARE_OF_HEIGHT
         for k in range(0, ANGLES_PER_TURN, max(1, int(SCAN_STEP * np.count_nonzero(size > 0.5)))):
             near = seen & inside[(at - k) % ANGLES_PER_TURN]
-            if len(np.unique(visit[near])) >= FEWEST_VISITS:
+            if len(np.unique(pose[near])) >= FEWEST_POSES:
                 middle = float(np.remainder(2.0 * np.pi * k / ANGLES_PER_TURN + np.pi, 2.0 * np.pi) - np.pi)
                 shapes.append({str(effect.scanned): middle, **chosen})
                 functions.append(table[(at - k) % ANGLES_PER_TURN])
@@ -213,36 +214,36 @@ def _places(
         return None
     along = np.asarray(D.T @ space.residual[: space.rows]) - taken @ filters.shares(space.residual)
     explained = along[able] ** 2 / (space.scale**2 * left[able])
-    visits = _Visits.of(visit[levers.entry], lever)
-    products = (visits.sums @ D[:, able]).tocsc()
+    those = _Poses.of(pose[levers.entry], lever)
+    products = (those.sums @ D[:, able]).tocsc()
     if levers.filters is None:
         weight = _of_unit_length(products)
-    else:  # every visit then has a part in the level that is taken from the others
-        weight = _of_unit_length(products.toarray() - filters.summed(visits.sums) @ taken[able].T)
-    return _Tried(effect, j, tuple(shapes[k] for k in able), explained, weight, visits.errors(space), levers)
+    else:  # every pose then has a part in the level that is taken from the others
+        weight = _of_unit_length(products.toarray() - filters.summed(those.sums) @ taken[able].T)
+    return _Tried(effect, j, tuple(shapes[k] for k in able), explained, weight, those.errors(space), levers)
 
 
 @dataclass(frozen=True)
-class _Visits:
-    """The visits that see a joint's angle.
+class _Poses:
+    """The poses that see a joint's angle.
 
     Attributes
     ----------
     sums
-        ``(V, M)``: gives the sum of each visit's entries, each times its derivative by the angle, over the length of
+        ``(V, M)``: gives the sum of each pose's entries, each times its derivative by the angle, over the length of
         these.
     """
 
     sums: sparse.csr_matrix
 
     @staticmethod
-    def of(visit: Integers, lever: Array) -> _Visits:
-        """Of each entry ``(M,)``: its visit, and its derivative by the joint's angle."""
-        count = int(visit.max(initial=-1)) + 1
-        sees = np.sqrt(np.bincount(visit, lever**2, minlength=count))
+    def of(pose: Integers, lever: Array) -> _Poses:
+        """Of each entry ``(M,)``: its pose, and its derivative by the joint's angle."""
+        count = int(pose.max(initial=-1)) + 1
+        sees = np.sqrt(np.bincount(pose, lever**2, minlength=count))
         able = sees > 1e-9 * sees.max(initial=0.0)
-        member = sparse.csr_matrix((lever, (visit, np.arange(len(visit)))), shape=(count, len(visit)))
-        return _Visits((sparse.diags(1.0 / sees[able]) @ member[able]).tocsr())
+        member = sparse.csr_matrix((lever, (pose, np.arange(len(pose)))), shape=(count, len(pose)))
+        return _Poses((sparse.diags(1.0 / sees[able]) @ member[able]).tocsr())
 
     def errors(self, space: Space) -> Array:
         """Errors of the joint's angle ``(V,)``, as :class:`_Tried` has them."""
@@ -270,7 +271,7 @@ def _refined(estimate: Estimate, space: Space, tried: _Tried) -> Candidate:
         if any(not bounds[name][0] <= value <= bounds[name][1] for name, value in shapes.items()):
             return 0.0
         c = _column(estimate, tried, shapes)
-        some = np.flatnonzero(np.abs(c) > FADED * np.abs(c).max(initial=0.0))  # the entries of a few visits
+        some = np.flatnonzero(np.abs(c) > FADED * np.abs(c).max(initial=0.0))  # the entries of a few poses
         own = c[some] @ space.basis[some]
         left = float(c @ c - own @ own)
         return -(float(c[some] @ space.residual[some]) ** 2) / left if left > WEAK_BELOW * float(c @ c) > 0.0 else 0.0

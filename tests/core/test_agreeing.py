@@ -6,12 +6,17 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from clampid.catalogue import catalogue
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.result import StageDiagnosis
+from clampid.evidence.scan import scan
+from clampid.evidence.space import space_of
 from clampid.fitting.agreeing import AGREEING_FALSE_ALARMS, MIN_VISITS, agreement
 from clampid.identification.identify import identify, stage_rows
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.loop.add import add
 from clampid.stages.layout import layout_of
 from clampid.stages.rows import Rows
@@ -108,6 +113,24 @@ def test_a_damaged_tooth_is_named_and_its_rows_are_no_outliers(simulated):
     found = check(campaign, "joint3")
     assert not found.outliers
     assert found.after < 0.6 * found.before
+
+
+def test_a_pose_that_is_off_at_each_of_its_visits_is_no_damaged_tooth(simulated):
+    """A program that is run three times: visits of a pose were permuted, as if each had an error of its own."""
+    campaign = simulated(seed=1, poses=60, tables=("poses",))
+    first = campaign.tables["poses"].query("visit == 1")
+    last = float(first["time_s"].max())
+    again = [first.assign(visit=k + 1, time_s=first["time_s"] + k * last) for k in range(3)]
+    rng, points = np.random.default_rng(5), ["x_m", "y_m", "z_m"]
+    table = pd.concat(again, ignore_index=True)
+    table[points] += 6e-5 * rng.standard_normal((len(table), 3))
+    off = table["pose"].isin(rng.choice(first["pose"].unique(), 3, replace=False))
+    table.loc[off, "z_m"] += 1.5e-3
+    campaign = replace(campaign, tables={"poses": table})
+    estimate = on_campaign(identify(campaign, STANDARD), campaign).refit("poses").estimate
+    known = {"local_angle_error": catalogue()["local_angle_error"]}
+    for s in scan(estimate, space_of(estimate), known, 199, 0):
+        assert s.log_p > np.log(0.01)
 
 
 @pytest.mark.slow
