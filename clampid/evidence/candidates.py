@@ -268,9 +268,13 @@ def _evaluations(
 
 
 def _friction_of_log(estimate: Estimate, share: float) -> dict[Slot, float]:
-    """A share of the log's dry friction at the joints without clearance, as far as known and not the fit's."""
+    """A share of the log's dry friction at the joints without clearance, as far as known and not the fit's.
+
+    Where the joint bears less than that, too: there the last motion selects most flanks, which the fit's own friction
+    may have absorbed, with any sign.
+    """
     problem = estimate.problem
-    most = problem.rows.pose.log_friction if problem.kind.points else None
+    most = problem.rows.pose.flank_friction if problem.kind.points else None
     if most is None:
         return {}
     own = [slot for slot in _frictions_beside_no(problem, "clearance") if np.isfinite(most[slot.number])]

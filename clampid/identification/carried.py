@@ -140,13 +140,15 @@ def with_log_friction(rows: Rows, stages: Mapping[Stage, StageModel], effects: M
     """Rows of poses with the friction that the log knows at joints with a larger load; other rows as they are.
 
     At a joint with less load (median over the rows) a clearance and the spring that friction winds up are one number.
-    The clearance would look known if the friction were, through a spring that nothing identifies there.
+    The clearance would look known if the friction were, through a spring that nothing identifies there. But a clearance
+    that is not in the model may be tried with the flanks that this friction selects.
     """
     if not rows.kind.points or known_of(stages, "moving") is None:
         return rows
     most = log_friction(stages, rows.robot, effects)
     load = np.median(np.abs(rows.signals["gravity_torque"]), axis=0)
-    return replace(rows, constants=replace(rows.pose, log_friction=np.where(load > most, most, np.inf)))
+    bound = np.where(load > most, most, np.inf)
+    return replace(rows, constants=replace(rows.pose, log_friction=bound, flank_friction=most))
 
 
 def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:

@@ -162,6 +162,8 @@ class PoseConstants(RowConstants):
     log_friction
         ``(n,)``, Nm: dry friction at each joint in torque logs, of motor and arm side together; infinite where no log
         identifies it, or where the load is smaller. None: not looked up.
+    flank_friction
+        The same whatever the load: a friction that may select the flanks of a clearance that is not in the model.
     """
 
     target: Array = field(metadata=PER_ROW)
@@ -173,6 +175,7 @@ class PoseConstants(RowConstants):
     link_recorded: Bools = field(metadata=PER_ROW)
     tool_mass: Array = field(metadata=PER_ROW)
     log_friction: Array | None = None
+    flank_friction: Array | None = None
 
 
 def per_row(constants: RowConstants) -> tuple[str, ...]:

@@ -31,6 +31,9 @@ OF_ITS_SIZE = 0.8  # of the noise
         ("damaged_tooth/poses", 3700),  # beside readings that wander: a number shows the rows before it as well
         ("hardening_spring/poses", 3867),  # saturating at a torque of joints that have no gear in their description
         ("backlash/poses", 3861),  # beside readings that wander, and with the friction that selects its flanks
+        ("backlash/poses", 4024),  # of a joint that bears less than its friction, which selects the flanks there, too
+        ("base_tilt/poses", 3913),  # by a stereo camera twice as noisy as stated
+        ("gear_eccentricity/poses", 4014),  # a pose is off at each of its visits, as if a tooth were damaged there
         ("joint_compliance/poses", 3845),  # beside a friction of a third of its load, which only flanks have shown
         ("depth_scale/poses", 3718),  # of all axes in part, so that it takes two names to explain what a probe does
     ],
