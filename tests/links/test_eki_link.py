@@ -178,6 +178,7 @@ def test_the_controller_is_started_again_in_the_middle_of_a_motion(controller: F
     controller.point_s = 0.2
     number = link.execute(to(1, 2, 3))
     until(lambda: link.fate(number).point == 1)
+    connected = link._motion.attempts
     controller.restart()
     with pytest.raises(UnknownFateError, match="started again"):
         link.wait(number, 5.0)
@@ -185,6 +186,7 @@ def test_the_controller_is_started_again_in_the_middle_of_a_motion(controller: F
     with pytest.raises(LinkError, match=r"confirm|motion channel"):
         link.execute(to(1))
     link.confirm()
+    until(lambda: link._motion.attempts > connected)  # the end of the old connection has been noticed
     until(lambda: link._motion.ready and link.status().age < 0.1)
     again = link.execute(to(1))
     assert link.wait(again, 5.0).phase is Phase.FINISHED
