@@ -63,7 +63,8 @@ def diagnose_stage(fitted: FittedStage, bench: Bench, propose: Propose | None = 
     judged_by, outcome = _searched(fitted, bench)
     drift = drift_of(outcome.fitted.estimate) if fitted.estimate.problem.kind.points else None
     as_slow: list[str] = []  # variables that describe what is left, and perhaps only because they change as slowly
-    beside = None if drift is None else drift_of(outcome.fitted.estimate, outcome.wander)
+    steady = drift is None or outcome.wander is None
+    beside = drift if steady else drift_of(outcome.fitted.estimate, outcome.wander)
     if beside is not None and beside.block > 1:  # once more, now that it is known how long what is left goes on
         as_slow = variables_of(outcome.scores) if outcome.scores.fires else []
         del outcome  # as large as its rows

@@ -81,7 +81,7 @@ def of_level(estimate: Estimate, level: Level) -> Estimate:
 def known_to_wander(estimate: Estimate, level: Level) -> Estimate:
     """The same estimate of a log, whitened by a noise with short memory and a level that wanders by so much."""
     noise = estimate.noise.of_short_memory if estimate.noise.autocorrelations else estimate.noise
-    return of_level(replace(estimate, noise=noise), level)
+    return whitened_by(estimate, replace(noise, level=level))
 
 
 def whitened_by(estimate: Estimate, noise: Noise) -> Estimate:

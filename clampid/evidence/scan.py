@@ -214,42 +214,32 @@ def _places(
         return None
     along = np.asarray(D.T @ space.residual[: space.rows]) - taken @ filters.shares(space.residual)
     explained = along[able] ** 2 / (space.scale**2 * left[able])
-    those = _Poses.of(pose[levers.entry], lever)
-    products = (those.sums @ D[:, able]).tocsc()
+    by_pose = _by_pose(pose[levers.entry], lever)
+    products = (by_pose @ D[:, able]).tocsc()
     if levers.filters is None:
         weight = _of_unit_length(products)
     else:  # every pose then has a part in the level that is taken from the others
-        weight = _of_unit_length(products.toarray() - filters.summed(those.sums) @ taken[able].T)
-    return _Tried(effect, j, tuple(shapes[k] for k in able), explained, weight, those.errors(space), levers)
+        weight = _of_unit_length(products.toarray() - filters.summed(by_pose) @ taken[able].T)
+    return _Tried(effect, j, tuple(shapes[k] for k in able), explained, weight, _errors(space, by_pose), levers)
 
 
-@dataclass(frozen=True)
-class _Poses:
-    """The poses that see a joint's angle.
+def _by_pose(pose: Integers, lever: Array) -> sparse.csr_matrix:
+    """Sums ``(V, M)`` over the entries of each pose that sees a joint's angle, weighted by a lever of unit length.
 
-    Attributes
-    ----------
-    sums
-        ``(V, M)``: gives the sum of each pose's entries, each times its derivative by the angle, over the length of
-        these.
+    ``pose``, ``lever`` ``(M,)``: each entry's pose, and its derivative by the angle.
     """
+    count = int(pose.max(initial=-1)) + 1
+    sees = np.sqrt(np.bincount(pose, lever**2, minlength=count))
+    able = sees > 1e-9 * sees.max(initial=0.0)
+    member = sparse.csr_matrix((lever, (pose, np.arange(len(pose)))), shape=(count, len(pose)))
+    return (sparse.diags(1.0 / sees[able]) @ member[able]).tocsr()
 
-    sums: sparse.csr_matrix
 
-    @staticmethod
-    def of(pose: Integers, lever: Array) -> _Poses:
-        """Of each entry ``(M,)``: its pose, and its derivative by the joint's angle."""
-        count = int(pose.max(initial=-1)) + 1
-        sees = np.sqrt(np.bincount(pose, lever**2, minlength=count))
-        able = sees > 1e-9 * sees.max(initial=0.0)
-        member = sparse.csr_matrix((lever, (pose, np.arange(len(pose)))), shape=(count, len(pose)))
-        return _Poses((sparse.diags(1.0 / sees[able]) @ member[able]).tocsr())
-
-    def errors(self, space: Space) -> Array:
-        """Errors of the joint's angle ``(V,)``, as :class:`_Tried` has them."""
-        error = self.sums @ space.residual[: space.rows]
-        error = error / max(MAD_TO_STD * float(np.median(np.abs(error))), 1e-300)
-        return np.asarray(np.clip(error, -LARGEST_RESIDUAL_IN_NULL, LARGEST_RESIDUAL_IN_NULL))
+def _errors(space: Space, by_pose: sparse.csr_matrix) -> Array:
+    """Errors of the joint's angle ``(V,)``, as :class:`_Tried` has them."""
+    error = by_pose @ space.residual[: space.rows]
+    error = error / max(MAD_TO_STD * float(np.median(np.abs(error))), 1e-300)
+    return np.asarray(np.clip(error, -LARGEST_RESIDUAL_IN_NULL, LARGEST_RESIDUAL_IN_NULL))
 
 
 def _of_unit_length(columns: Array | sparse.csc_matrix) -> Array | sparse.csc_matrix:
