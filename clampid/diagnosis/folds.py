@@ -1,10 +1,12 @@
 """Which rows are held out together: whole runs where runs are exchangeable, else parts of runs.
 
 A held-out run is predicted from the others. If what it shows of a candidate lies outside their range in a variable of
-the candidate, this tests an extrapolation and not the candidate: a cold run does not predict a warm one, nor slow runs
-the curvature of friction that only the fastest shows. Then each run is cut into contiguous pieces, one for every part
-of the rows, so that each piece lies between others of its own run. Pieces are at least four units of noise long. The
-first and last unit of each piece share noise with its neighbours; they are fitted and not judged.
+the candidate, this tests an extrapolation and not the candidate: a cold run does not predict a warm one, nor slow
+runs the curvature of friction that only the fastest shows. The same holds for the model without any candidate: slow
+runs do not determine the inertia that a fast one shows, and predict it worse than its noise. Then each run is cut
+into contiguous pieces, one for every part of the rows, so that each piece lies between others of its own run. Pieces
+are at least four units of noise long. The first and last unit of each piece share noise with its neighbours; they are
+fitted and not judged.
 
 Source: Roberts et al., Cross-validation strategies for data with temporal, spatial, hierarchical, or phylogenetic
 structure, Ecography 40, 2017: blocks in time, and no extrapolation between them.
@@ -21,15 +23,26 @@ import numpy as np
 from clampid.effect import Effect
 from clampid.evidence.score import Scored
 from clampid.evidence.space import Space
+from clampid.fitting.accuracy import parts_of_rows
+from clampid.fitting.descent import inverse_of
 from clampid.fitting.solve import Estimate
 from clampid.slots import number_of
 from clampid.stages.rows import Array, Bools, Integers, Rows
 
-__all__ = ["PARTS", "Folds", "extrapolated_in", "folds_of", "parts_of_runs", "stability_folds"]
+__all__ = [
+    "PARTS",
+    "Folds",
+    "extrapolated_in",
+    "folds_of",
+    "parts_of_runs",
+    "runs_determine_each_other",
+    "stability_folds",
+]
 
 PARTS = 5
 UNITS = 4  # of noise, of which a piece consists at least: its first and last are not judged
 MARGIN = 0.02  # of a range's width: runs of one program repeat their speeds no better
+AS_NOISE = 1.0  # error of a prediction, over the noise, in squares: with more it tests the fit of the other runs
 MOSTLY = 0.5  # of a candidate's evidence, which lies outside the other runs' ranges
 
 
@@ -44,7 +57,7 @@ class Folds:
     judged
         ``(N,)``: False next to a piece that other parts have.
     because
-        Signals in which runs lie outside each other.
+        Signals in which runs lie outside each other; empty if runs do not determine each other.
     """
 
     fold: Integers
@@ -62,6 +75,11 @@ class Folds:
     @property
     def sentence(self) -> str:
         """For people: what was held out, and why."""
+        if not self.because:
+            return (
+                "Parts of runs are held out, not whole runs: the other runs do not determine all parameters that one "
+                "of them shows, and predict it worse than its noise."
+            )
         names = " and ".join(name.replace("_", " ").replace("elapsed", "time") for name in self.because)
         return (
             "Parts of runs are held out, not whole runs: most of what shows an effect lies where a run is outside the "
@@ -71,6 +89,25 @@ class Folds:
     def to_json(self) -> dict[str, Any]:
         """For programs."""
         return {"held_out": "parts of runs", "because": list(self.because)}
+
+
+def runs_determine_each_other(estimate: Estimate, seed: int) -> bool:
+    """Whether whole runs of a log are predicted from the others with errors, expected, below their noise.
+
+    The variance of a prediction follows from the normal equations of the others and the prior; no residual counts.
+
+    Parameters
+    ----------
+    seed
+        For the division into parts.
+    """
+    rows, white = estimate.problem.rows, estimate.whitened
+    part = parts_of_rows(rows, seed)[white.entry]
+    if not rows.kind.moving or len(np.unique(part)) < 2:
+        return True
+    normals = [(J.T @ J, len(J)) for J in (white.jacobian[part == k] for k in np.unique(part))]
+    whole = estimate.prior_precision + sum(A for A, _ in normals)
+    return all(np.sum(A * inverse_of(whole - A)) <= AS_NOISE * count for A, count in normals)
 
 
 def folds_of(

@@ -9,7 +9,7 @@ from typing import Any
 
 from clampid.diagnosis.candidate_scores import CandidateScores
 from clampid.diagnosis.confirmed import Confirmed, with_needed_only
-from clampid.diagnosis.folds import Folds, folds_of
+from clampid.diagnosis.folds import Folds, folds_of, parts_of_runs, runs_determine_each_other
 from clampid.diagnosis.held_out import HeldOut
 from clampid.diagnosis.scoring import scored_beside_probes
 from clampid.diagnosis.trial import Bench
@@ -83,6 +83,8 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     on these poses give other flange positions elsewhere.
     """
     rows, effects = fitted.estimate.problem.rows, bench.effects
+    if bench.folds is None and not runs_determine_each_other(fitted.estimate, bench.seed):
+        return Folds(*parts_of_runs(rows), because=())
     scores = bench.scores(fitted, 0)
     if bench.folds is None:
         finer = folds_of(fitted.estimate, scores.space, _on_trial(scores), effects)

@@ -31,6 +31,7 @@ from clampid.effect import Effect, Stage
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored, canonical
 from clampid.fitting.accuracy import Floor
+from clampid.fitting.solve import Estimate
 from clampid.fitting.wander import Level, larger
 from clampid.identification.fitted_stage import FittedStage
 from clampid.progress import substep
@@ -110,14 +111,18 @@ class Bench:
 
     def held_out(self, fitted: FittedStage) -> HeldOut:
         """A fit's held-out errors."""
-        return held_out_of(fitted.estimate, self.verification, self.floor, self.seed, self.block, self.folds)
+        return self._held_out(fitted.estimate)
+
+    def _held_out(self, estimate: Estimate) -> HeldOut:
+        """An estimate's held-out errors, all of a search on the same parts."""
+        return held_out_of(estimate, self.verification, self.floor, self.seed, self.block, self.folds)
 
     def alone(self, fitted: FittedStage, s: Scored) -> float | None:
         """Held-out rms that a candidate would reach, in the stage's unit, estimated without a fit."""
         estimate = linear_refit(fitted.estimate, at_fit(fitted.estimate, s))
         if estimate is None:
             return None
-        return held_out_of(estimate, self.verification, self.floor, self.seed, self.block, self.folds).rms
+        return self._held_out(estimate).rms
 
     @substep("trying the best candidates", ROUND_SHARE)
     def decided(
@@ -173,7 +178,7 @@ class Bench:
             return self._undecided(simplest, rivals, scores, fitted, held_out)
         step = _step(best, scores, fitted)
         if step is not None and step.falls and step.linear and best.assumed <= MOSTLY and self._plain(best):
-            new = held_out_of(step.near, self.verification, self.floor, self.seed, self.block, self.folds)
+            new = self._held_out(step.near)
             p_held_out = held_out.p_above(new, new.noise, self.seed)
             if p_held_out > RISES:  # one Gauss-Newton step towards it is the fit where nothing is curved
                 return Tried(best, scores, fitted, [], new, p_held_out, 0.0, NO_FALL)
@@ -204,7 +209,7 @@ class Bench:
             step = _step(s, scores, fitted)
             if step is not None and step.falls and step.linear and s.assumed <= MOSTLY and self._plain(s):
                 trial, kept = fitted, list[Term]()
-                new = held_out_of(step.near, self.verification, self.floor, self.seed, self.block)
+                new = self._held_out(step.near)
                 p, falls = self.falls(scores).of_step(held_out, new, s, fitted.estimate)
             else:  # one step is not the fit: only this decides
                 _, trial, kept, new, _ = along = self._fitted_along(s, step, fitted, held_out)

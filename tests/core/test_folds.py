@@ -10,8 +10,10 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.diagnosis.diagnose import diagnose
-from clampid.diagnosis.folds import extrapolated_in, parts_of_runs, stability_folds
+from clampid.diagnosis.folds import extrapolated_in, parts_of_runs, runs_determine_each_other, stability_folds
+from clampid.fitting.accuracy import cross_validated
 from clampid.identification.identify import identify, stage_rows
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.stages.layout import layout_of
 from clampid.stages.rows import Rows
 from experiments.campaign import Campaign, read_campaign
@@ -73,6 +75,23 @@ def test_slow_runs_are_no_test_of_what_only_the_fastest_shows(rows: Rows):
         shows = signals["motor_speed"][:, 0] ** 4  # the square of what a unit of it does
         assert extrapolated_in(replace(rows, signals=signals), effect, ("joint1",), shows) == wanted
     assert extrapolated_in(replace(rows, signals=signals), effect, ("joint1",), np.ones(len(rows))) == ()
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_run_that_moves_a_joint_alone_is_predicted_by_no_other(warming: Campaign, alone: bool):
+    """Its own friction, and masses behind it, are only in its rows: without them any value of these is possible."""
+    log = warming.tables["free_air"].copy()
+    first = (log["run"] == 1).to_numpy()
+    if alone:
+        columns = ["q6_rad", *(c for c in log if c == "qd6_rad_s")]
+        log.loc[~first, columns] = log.loc[~first, columns].iloc[0].to_numpy()
+    campaign = replace(warming, tables=MappingProxyType({"free_air": log}))
+    estimate = on_campaign(identify(campaign), campaign).refit("free_air").estimate
+    assert runs_determine_each_other(estimate, seed=0) != alone
+    if alone:
+        rows, residual = cross_validated(estimate, estimate.problem.rows, 0)
+        mine = rows.used[:, 5] & (rows.fold == rows.fold.min())
+        assert np.std(residual[mine, 5]) > 3.0 * np.std(estimate.residual[mine, 5])
 
 
 def test_every_part_has_a_piece_of_every_run_and_is_judged_off_its_ends(rows: Rows):
