@@ -1,4 +1,4 @@
-"""Verdicts from few poses: whether held-out errors can be judged, and how much errors of the estimates add to them.
+"""Verdicts from few rows: whether held-out errors can be judged, and how much errors of the estimates add to them.
 
 The held-out error of a fit of p parameters is larger than its residual. If the model is right and n numbers are fitted,
 the mean square of held-out errors is 1 + p / (n - p - 1) times that of the noise.
@@ -14,16 +14,22 @@ import numpy as np
 from clampid.fitting.solve import Estimate, FitError
 from clampid.identification.fitted_stage import FittedStage, freedom_of
 
-__all__ = ["estimates_share", "refuse_unjudged"]
+__all__ = ["estimates_share", "expected_over_noise", "refuse_unjudged"]
 
 FITTED = 0.8  # of the rows: what is left where each fifth is predicted from the others
 NOTABLE = 1.3  # from this factor on the error of the estimates is a part of what is judged
 
 
-def _factor(estimate: Estimate) -> float:
-    """Expected error of held-out poses under a right model, over the noise; infinite without degrees of freedom."""
+def expected_over_noise(estimate: Estimate, verified: bool) -> float:
+    """Expected error of held-out rows under a right model, over the noise; infinite without degrees of freedom.
+
+    Parameters
+    ----------
+    verified
+        Whether a verification table is used, so that all rows are fitted.
+    """
     numbers, determined = freedom_of(estimate)
-    left = FITTED * numbers - determined - 1.0
+    left = (1.0 if verified else FITTED) * numbers - determined - 1.0
     return float(np.sqrt(1.0 + determined / left)) if left > 0.0 else float("inf")
 
 
@@ -37,7 +43,7 @@ def estimates_share(estimate: Estimate, verified: bool) -> float:
     """
     if verified or not estimate.problem.kind.points:
         return 1.0
-    found = _factor(estimate)
+    found = expected_over_noise(estimate, verified)
     return found if found >= NOTABLE else 1.0
 
 
@@ -50,7 +56,7 @@ def refuse_unjudged(fitted: FittedStage, verified: bool) -> None:
         Too few numbers were measured.
     """
     estimate = fitted.estimate
-    if verified or not estimate.problem.kind.points or np.isfinite(_factor(estimate)):
+    if verified or not estimate.problem.kind.points or np.isfinite(expected_over_noise(estimate, verified)):
         return
     numbers, determined = freedom_of(estimate)
     raise FitError(

@@ -25,6 +25,7 @@ from clampid.diagnosis.confirm import Fall, cross_fitted_fall
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import variables_of
 from clampid.diagnosis.falls import FallTest
+from clampid.diagnosis.few_rows import expected_over_noise
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut
 from clampid.diagnosis.linear_refit import at_fit
 from clampid.diagnosis.noise_beside import with_equal_weights
@@ -108,7 +109,8 @@ def remains_of(scores: CandidateScores, estimate: Estimate, held_out: HeldOut, f
     else:
         large = size_of(explained.share + float(stats.norm.isf(CLEARLY)) * explained.error) >= MATTERS
     variables, wanders = variables_of(scores.seen_by(probe)), scores.wander is not None and not poses
-    matters = large or (not wanders and above_the_floor(held_out, CLEARLY))
+    expected = expected_over_noise(estimate, falls.verification is not None)
+    matters = large or (not wanders and above_the_floor(held_out, CLEARLY, expected))
     return Remains(tuple(variables), where, size, fall.p, matters, probe)
 
 
@@ -149,22 +151,27 @@ def _plain_fall(probe: Scored, estimate: Estimate, seed: int) -> Fall:
     return cross_fitted_fall(plain, at_fit(plain, probe), seed)
 
 
-def above_the_floor(held_out: HeldOut, rate: float) -> bool:
+def above_the_floor(held_out: HeldOut, rate: float, expected: float = 1.0) -> bool:
     """Whether a held-out error is significantly above the noise floor, at that false-alarm rate.
 
-    The variance of the mean square is that of the units' sums (visits, blocks of a log). The variance of the floor is
-    that of its repeated poses or, for a log, of as many rows. If the floor is only the instrument's stated noise, the
-    robot's usual repeatability is added.
+    The variance of the mean square is that of the units' sums (visits, blocks of a log). That of the floor follows from
+    its degrees of freedom. If the floor is only the instrument's stated noise, the robot's usual repeatability is
+    added.
+
+    Parameters
+    ----------
+    expected
+        Held-out error of a right model over the floor: what the errors of its estimates add.
     """
     squares, (counts, width) = held_out.squares, _counted(held_out)
     _, unit = np.unique(blocks_of_visits(held_out.rows, held_out.block), return_inverse=True)
     total, number = np.bincount(unit, squares), np.bincount(unit, counts)
     mean = float(total.sum() / max(number.sum(), 1.0))
     variance = float(np.sum((total - mean * number) ** 2)) / max(float(number.sum()), 1.0) ** 2
-    if not held_out.rows.kind.points:
-        return bool(mean - 1.0 > stats.norm.isf(rate) * np.sqrt(2.0 * variance))
-    floor = held_out.floor
-    level = floor.norm**2 if floor.source == "replicates" else floor.most**2
+    floor, level = held_out.floor, 1.0  # torques are in units of it
+    if held_out.rows.kind.points:
+        level = floor.norm**2 if floor.source == "replicates" else floor.most**2
+    level *= expected**2
     known = 2.0 * level**2 / (width * floor.freedom) if floor.freedom else 0.0
     return bool(mean - level > stats.norm.isf(rate) * np.sqrt(variance + known))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,7 @@ __all__ = [
 FOLDS = 5
 QUIET_S = 3.0  # s: a log's noise is nearly uncorrelated over this time, and what varies with posture is still smooth
 FEWEST_TRIPLES = 20  # triples of rows from which noise is estimated
+OVERLAP = 35 / 18  # by which the variance of their mean square is larger than of as many independent differences
 QUIET_ROWS = 6  # the same as a number of rows, for sweeps of single steps
 REPEATS = 4e-5
 """Repeatability, rms, over the length of the arm. Data sheets state RP by ISO 9283: the mean distance plus three of its
@@ -54,7 +55,8 @@ class Floor:
     repeats
         Poses: typical repeatability of a robot of that size, rms in m; 0 where returns to poses measure it.
     freedom
-        Poses: degrees of freedom of the returns, the fewer of points and distances; 0 if returns are too few.
+        Degrees of freedom of the mean square. Poses: of the returns, the fewer of points and distances; 0 if these are
+        too few. Torques: of the neighbours' differences, over all motors.
     in_visits
         Poses: how the points of single visits scatter about their mean, rms in m; 0 where returns measure the noise, or
         visits have one point. No motion of the flange explains it, so that it is noise even if more than was stated.
@@ -103,26 +105,38 @@ def noise_floor(rows: Rows, residual: Array) -> Floor:
     lag = QUIET_ROWS
     if rows.kind.moving and len(time) > 1:
         lag = max(1, round(QUIET_S / max(float(np.median(np.diff(time))), 1e-9)))
-    out = np.array([_spread(run, residual[:, c], rows.used[:, c], lag) for c in range(residual.shape[1])])
+    spreads = [_spread(run, residual[:, c], rows.used[:, c], lag) for c in range(residual.shape[1])]
+    out = np.array([spread.std for spread in spreads])
     known = np.full(len(out), np.inf) if rows.series.known_noise is None else rows.series.known_noise
     lower = np.any((known < out) & rows.used.any(axis=0))
-    return Floor(np.maximum(np.minimum(out, known), 1e-12), rows.series.known_from if lower else "log")
+    share = rows.used.sum(axis=0) / max(np.count_nonzero(rows.used), 1)
+    freedom = 1.0 / max(sum(a**2 / s.freedom for a, s in zip(share, spreads, strict=True) if s.freedom), 1e-9)
+    source = rows.series.known_from if lower else "log"
+    return Floor(np.maximum(np.minimum(out, known), 1e-12), source, freedom=round(freedom))
 
 
-def _spread(run: Integers, residual: Array, used: Bools, lag: int) -> float:
+class _Spread(NamedTuple):
+    """The noise of one motor, and the degrees of freedom of its square."""
+
+    std: float
+    freedom: float
+
+
+def _spread(run: Integers, residual: Array, used: Bools, lag: int) -> _Spread:
     """Noise of one motor, from the difference of its residual ``(N,)`` to the mean of its neighbours ``lag`` rows away.
 
     Smooth misfit cancels in this difference. Noise that is uncorrelated over ``lag`` rows gives it 3/2 of its variance.
     Shorter stretches use nearer neighbours, where correlated noise cancels in part: the floor is then too low, never
-    too high. 1 if no row counts.
+    too high. 1 if no row counts. A difference has correlations of -2/3 and 1/6 with those `lag` and twice as many rows
+    away, so that the variance of their mean square is 1 + 2 (4/9 + 1/36) = 35/18 times that of independent ones.
     """
     while lag > 0:
         same = (run[2 * lag :] == run[: -2 * lag]) & used[2 * lag :] & used[lag:-lag] & used[: -2 * lag]
         if np.count_nonzero(same) > FEWEST_TRIPLES:
             bent = (residual[lag:-lag] - 0.5 * (residual[2 * lag :] + residual[: -2 * lag]))[same]
-            return float(np.sqrt(np.mean(bent**2) / 1.5))
+            return _Spread(float(np.sqrt(np.mean(bent**2) / 1.5)), len(bent) / OVERLAP)
         lag //= 2
-    return float(np.sqrt(np.mean(residual[used] ** 2))) if used.any() else 1.0
+    return _Spread(float(np.sqrt(np.mean(residual[used] ** 2))) if used.any() else 1.0, float(np.count_nonzero(used)))
 
 
 def _pose_floor(rows: Rows, residual: Array) -> Floor:

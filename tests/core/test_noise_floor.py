@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from clampid.fitting.accuracy import QUIET_S, _spread, noise_floor
+from clampid.identification.identify import stage_rows
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign
@@ -17,6 +18,7 @@ from experiments.checks.motion import motion_findings
 from experiments.measures.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
 
 SCATTER = 200e-6  # m, one axis; the instrument states less
+STD_NM = 1e-3  # of a torque: less than what runs and a regression say, so that these do not count
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +53,20 @@ def test_check_and_the_floor_say_the_same(base: Campaign, count: int) -> None:
     assert floor.norm == pytest.approx(np.sqrt(3) * SCATTER, rel=0.25)
     assert said.startswith(f"{count} repeated points")
     assert said.endswith("give the noise floor")
+
+
+def test_the_floor_of_a_log_has_the_freedom_that_it_says(simulated: Callable[..., Campaign]) -> None:
+    """White noise of 300 draws: the mean square over all motors, in units of their floors, scatters as it says."""
+    campaign = simulated(seed=5, tables=("free_air",))
+    rows = stage_rows([campaign], layout_of([campaign]), "free_air")
+    rng, squares, freedom = np.random.default_rng(3), [], set()
+    for _ in range(300):
+        floor = noise_floor(rows, STD_NM * rng.standard_normal(rows.measured.shape))
+        squares.append(np.average((floor.sigma / STD_NM) ** -2.0, weights=rows.used.sum(axis=0)))
+        freedom.add(floor.freedom)
+    (said,) = freedom
+    assert said < rows.used.sum() / 1.5  # fewer than as many independent rows would give
+    assert np.var(squares) == pytest.approx(2.0 / said, rel=0.35)  # four standard errors of a variance of 300
 
 
 def test_points_of_single_visits_may_scatter_more_than_the_instrument_is_said_to(base: Campaign) -> None:
@@ -101,6 +117,6 @@ def test_a_smooth_misfit_is_no_noise_however_short_the_log(rows: int) -> None:
     rng, step = np.random.default_rng(2), 1e-3
     noise, misfit = rng.standard_normal(rows), np.linspace(-5.0, 5.0, rows)
     run, used = np.zeros(rows, dtype=np.int64), np.ones(rows, dtype=bool)
-    found = _spread(run, noise + misfit, used, round(QUIET_S / step))
+    found = _spread(run, noise + misfit, used, round(QUIET_S / step)).std
     assert found == pytest.approx(1.0, rel=0.15)
-    assert _spread(run, noise + misfit, ~used, 10) == 1.0
+    assert _spread(run, noise + misfit, ~used, 10).std == 1.0
