@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pa_parquet
 
+from experiments.columns import temperature_columns
 from experiments.errors import fault
+from experiments.steady_temperatures import SteadyTemperatures
 
 __all__ = ["LogTable", "Window", "batches", "windows"]
 
@@ -52,11 +55,14 @@ class LogTable:
         Its columns.
     rows
         How many rows it has.
+    steadies
+        Whether temperatures are read with their noise averaged out, or as recorded.
     """
 
     source: pd.DataFrame | Path
     names: tuple[str, ...]
     rows: int
+    steadies: bool = False
 
     @staticmethod
     def of(source: pd.DataFrame | Path) -> LogTable:
@@ -76,12 +82,32 @@ class LogTable:
             reason = str(error).strip().splitlines()[0]
             raise fault(source, expected="a whole Parquet file", found=f"none that can be read ({reason})") from error
 
+    def steadied(self) -> LogTable:
+        """The same with the noise of its temperatures' readings averaged out."""
+        return replace(self, steadies=True)
+
+    @cached_property
+    def _steady(self) -> SteadyTemperatures:
+        """Its temperatures, smoothed; reads the whole table once."""
+        return SteadyTemperatures.of(self._read(["run", "time_s", *temperature_columns(self.names)]))
+
     def frame(self, names: Sequence[str]) -> pd.DataFrame:
         """Columns of all of its rows, in memory."""
         return pd.concat([pd.DataFrame(dict(c)) for c in self.chunks(names)], ignore_index=True)
 
     def chunks(self, names: Sequence[str]) -> Iterator[Columns]:
-        """Columns in pieces, one after the other: all at once if the table is in memory."""
+        """Columns in pieces, one after the other: all at once if the table is in memory.
+
+        Raises
+        ------
+        KeyError
+            Temperatures are to be smoothed, and ``run`` or ``time_s`` is not among the names.
+        """
+        smoothed = self.steadies and temperature_columns(names)
+        for columns in self._read(names):
+            yield self._steady.replacing(columns) if smoothed else columns
+
+    def _read(self, names: Sequence[str]) -> Iterator[Columns]:
         if isinstance(self.source, pd.DataFrame):
             yield {name: self.source[name].to_numpy(np.float64) for name in names}
             return

@@ -93,7 +93,7 @@ def identify_folder(
         header=header.raw,
         stated=header.stated,
     )
-    parts = [LogPart(campaign, 0, name, table) for name, table in tables.items()]
+    parts = [LogPart(campaign, 0, name, table.steadied()) for name, table in tables.items()]
     catalogue, layout = with_user_effects(user_effects), layout_of([campaign])
     terms = tuple(Term(name) for name in STANDARD["free_air"])
     if effects is not None:
@@ -114,7 +114,7 @@ def identify_folder(
     errors = fitted.errors(None, seed)
     ledger = Round("free_air", tuple(t.label for t in terms), (), errors.rms, errors.heldout_rms, errors.noise_floor)
     table = parts[0].name
-    warmth = _temperatures(parts[0].table) if table == "free_air" else None
+    warmth = _temperatures(tables[table]) if table == "free_air" else None
     session = replace(session_of(campaign, None), temperature=warmth)
     source = None if user_effects is None else str(user_effects)
     name, file = campaign.robot.name, campaign.robot_file

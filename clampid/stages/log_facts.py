@@ -56,14 +56,14 @@ class LogPart:
 
 
 def log_parts(campaigns: Sequence[Campaign]) -> list[LogPart]:
-    """The tables free_air and wrist of campaigns, in order; temperatures that were not read are filled in."""
+    """The tables free_air and wrist of campaigns, in order; gaps of temperatures are filled, and all are smoothed."""
     out = []
     for s, campaign in enumerate(campaigns):
         logs = {name: campaign.placed(name) for name in LOGS if name in campaign.tables}
         for name, table in logs.items():
             others = [other for key, other in logs.items() if key != name]
             whole = campaign.long[name].table if name in campaign.long else LogTable.of(filled(table, others))
-            out.append(LogPart(campaign, s, name, whole))
+            out.append(LogPart(campaign, s, name, whole.steadied()))
     return out
 
 
