@@ -6,8 +6,9 @@ second virtual world, a cable that drags with 0.6 times the noise kept 2 % of it
 significant, the noise is learned again, from what a fit with all of these leaves, and the probes are judged by it; and
 names, if none was found. If nothing is significant, the noise stays as it was, and with it the rate of false alarms.
 
-A constant error is as slow as can be: an offset of one standard deviation is half of the noise, at any lag. So before
-anything is scored, the noise of each motor whose mean is not zero is learned about this mean.
+A constant error is as slow as can be: an offset of one standard deviation is half of the noise, at any lag. One that
+follows a temperature is nearly as slow. So before anything is scored, the noise of each motor that shows such a level
+is learned about it.
 
 Signs are flipped in blocks that are longer than the noise's memory. So the significance of a candidate does not depend
 on the filter being right; its power does.
@@ -19,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
+from scipy import linalg, stats
 from scipy.linalg import block_diag
 
 from clampid.diagnosis.probes import probes
@@ -32,11 +33,12 @@ from clampid.fitting.equal_weights import uncorrelated
 from clampid.fitting.noise import groups_of
 from clampid.fitting.solve import Estimate
 from clampid.stages.prewhitening import autocorrelation, lag_products
-from clampid.stages.rows import Array
+from clampid.stages.rows import Array, Rows
+from clampid.stages.temperatures import shared_temperatures
 
-__all__ = ["with_equal_weights", "with_noise_about_its_mean", "with_noise_beside"]
+__all__ = ["with_equal_weights", "with_noise_about_its_level", "with_noise_beside"]
 
-LEVEL_FALSE_ALARMS = 0.01  # probability that the mean of any motor is taken into account where all are zero
+LEVEL_FALSE_ALARMS = 0.01  # probability that the level of any motor is taken into account where there is none
 
 
 def with_noise_beside(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None:
@@ -54,29 +56,40 @@ def with_noise_beside(estimate: Estimate, beside: Sequence[Scored]) -> Estimate 
     return _whitened_beside(estimate, space_of(plain), _columns(plain, [s.candidate for s in beside]))
 
 
-def with_noise_about_its_mean(estimate: Estimate) -> Estimate | None:
-    """The estimate of a log, whitened by the noise that motors have about their mean; None if that is as before.
+def with_noise_about_its_level(estimate: Estimate) -> Estimate | None:
+    """The estimate of a log, whitened by the noise that motors have about their level; None if that is as before.
 
-    A constant error correlates a motor's residual at all lags. An autoregression takes it for noise that lasts, and its
-    filter removes nearly all of the error. So the noise of a motor is learned again, about its mean, if that differs
-    from zero by this noise.
+    A constant error correlates a motor's residual at all lags, and one that follows a temperature at nearly all. An
+    autoregression takes it for noise that lasts, and its filter removes nearly all of the error. So the noise of a
+    motor is learned again about a constant and the recorded temperatures, if by this noise these explain a part of it.
     """
     rows, noise = estimate.problem.rows, estimate.noise
     if not rows.kind.moving or not noise.autocorrelations:
         return None
     space, white = space_of(with_equal_weights(estimate)), estimate.whitened
     starts = channel_starts(white)
-    limit = float(stats.norm.isf(LEVEL_FALSE_ALARMS / (2 * len(starts))))
-    levels = block_diag(*(np.ones((stop - start, 1)) for start, stop in starts))
-    about = _whitened_beside(estimate, space, levels)
+    motors = [int(white.channel[start]) for start, _ in starts]
+    levels = [_levels(rows, motor) for motor in motors]
+    columns = [level[white.entry[start:stop]] for level, (start, stop) in zip(levels, starts, strict=True)]
+    about = _whitened_beside(estimate, space, block_diag(*columns))
     if about is None:
         return None
-    constant = []
+    chance = LEVEL_FALSE_ALARMS / len(starts)
     for k, (start, stop) in enumerate(starts):
-        shown = about.noise.shown_level(rows, int(white.channel[start]))
-        if abs(float(shown @ about.whitened.residual[start:stop])) > limit * float(np.linalg.norm(shown)):
-            constant.append(k)
-    return _whitened_beside(estimate, space, levels[:, constant]) if constant else None
+        motor = motors[k]
+        shown = about.noise.whiten_channel(rows, motor, about.noise.sigma[:, motor, None] * levels[k])
+        directions = linalg.orth(shown)
+        squares = float(np.sum((directions.T @ about.whitened.residual[start:stop]) ** 2))
+        if squares <= stats.chi2.isf(chance, directions.shape[1]):
+            columns[k] = np.zeros_like(columns[k])
+    return _whitened_beside(estimate, space, block_diag(*columns)) if any(map(np.any, columns)) else None
+
+
+def _levels(rows: Rows, motor: int) -> Array:
+    """What a motor's level may follow ``(N, k)``: a constant, and temperatures about their mean, of unit size."""
+    warm = [rows.signals["motor_temperature"][:, motor], *shared_temperatures(rows).values()]
+    about = [w - w.mean() for w in warm]
+    return np.column_stack([np.ones(len(rows)), *(w / w.std() for w in about if w.std() > 0.0)])
 
 
 def _whitened_beside(estimate: Estimate, plain: Space, columns: Array) -> Estimate | None:

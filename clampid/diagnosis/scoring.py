@@ -19,7 +19,7 @@ from clampid.diagnosis.candidate_scores import (
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.folds import stability_folds
 from clampid.diagnosis.impossible import SURE
-from clampid.diagnosis.noise_beside import with_noise_about_its_mean, with_noise_beside
+from clampid.diagnosis.noise_beside import with_noise_about_its_level, with_noise_beside
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.runs_apart import with_runs_apart
 from clampid.diagnosis.wandering import level_beside, of_level, whitened_by
@@ -73,7 +73,7 @@ def scores_of(
     seen
         Of poses: what earlier scores of this fit have shown; None if they did not wander, or are the first.
     """
-    known, about = Derivatives(), with_noise_about_its_mean(estimate)
+    known, about = Derivatives(), with_noise_about_its_level(estimate)
     estimate = about or estimate
     if seen is not None:
         slow = of_level(estimate, larger(seen.level, wander) or seen.level)

@@ -11,7 +11,7 @@ import pytest
 from clampid.catalogue import catalogue
 from clampid.diagnosis.candidate_scores import CandidateScores
 from clampid.diagnosis.confirm import cross_fitted_fall
-from clampid.diagnosis.noise_beside import with_equal_weights, with_noise_about_its_mean, with_noise_beside
+from clampid.diagnosis.noise_beside import with_equal_weights, with_noise_about_its_level, with_noise_beside
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.scoring import scored_beside_probes, scores_of
 from clampid.diagnosis.wandering import level_beside, whitened_by
@@ -99,7 +99,7 @@ def test_a_constant_error_is_no_noise(clean: Estimate) -> None:
     """An offset of 1.5 standard deviations correlates the residual at all lags by two thirds, which hid it."""
     lacking = with_error(clean, np.full(len(clean.residual), 1.5))
     assert lacking.noise.autocorrelations[MOTOR][12] > 0.5
-    found = with_noise_about_its_mean(lacking)
+    found = with_noise_about_its_level(lacking)
     assert found is not None
     assert found.noise.autocorrelations[MOTOR][12] == pytest.approx(clean.noise.autocorrelations[MOTOR][12], abs=0.1)
     assert found.noise.sigma[0, MOTOR] == pytest.approx(clean.noise.sigma[0, MOTOR], rel=0.1)
@@ -108,18 +108,31 @@ def test_a_constant_error_is_no_noise(clean: Estimate) -> None:
         np.testing.assert_array_equal(found.noise.autocorrelations[c], lacking.noise.autocorrelations[c])
 
 
+def test_an_error_that_follows_a_temperature_is_no_noise(clean: Estimate) -> None:
+    """It changes by less than a tenth within the noise's memory, and was filtered out with it."""
+    rows = clean.problem.rows
+    slow = np.sqrt(2.0) * np.sin(np.linspace(0.0, 4.0, len(rows)))
+    rows = replace(rows, signals={**rows.signals, "ambient_temperature": slow})
+    lacking = with_error(replace(clean, problem=clean.problem.with_rows(rows)), slow)
+    assert lacking.noise.autocorrelations[MOTOR][12] > 0.4
+    found = with_noise_about_its_level(lacking)
+    assert found is not None
+    assert found.noise.autocorrelations[MOTOR][12] == pytest.approx(clean.noise.autocorrelations[MOTOR][12], abs=0.1)
+    assert found.noise.sigma[0, MOTOR] == pytest.approx(clean.noise.sigma[0, MOTOR], rel=0.1)
+
+
 def test_a_constant_error_does_not_wander(clean: Estimate) -> None:
     """A walk that begins anywhere was likelier than the constant, and then hid it."""
     lacking = with_error(clean, np.full(len(clean.residual), 1.5))
-    assert level_beside(with_noise_about_its_mean(lacking) or lacking, []) is None
+    assert level_beside(with_noise_about_its_level(lacking) or lacking, []) is None
     steps = 0.05 * np.random.default_rng(0).standard_normal(len(clean.residual))
     walking = with_error(clean, 1.5 + np.cumsum(steps))
-    walking = with_noise_about_its_mean(walking) or walking
+    walking = with_noise_about_its_level(walking) or walking
     assert level_beside(whitened_by(walking, walking.noise.of_short_memory), []) is not None
 
 
 def test_without_a_constant_error_the_noise_stays_as_it_was(clean: Estimate) -> None:
-    assert with_noise_about_its_mean(clean) is None
+    assert with_noise_about_its_level(clean) is None
 
 
 def test_a_name_is_scored_by_the_noise_beside_the_probe_that_shows_it(clean: Estimate) -> None:
