@@ -23,7 +23,7 @@ POSES_ALONE: tuple[str, ...] = ("geometry", "joint_compliance")
 POSES_DIRECTED: tuple[str, ...] = ("backlash",)
 """Besides, where approach directions were recorded: without them no pose says on which flank a joint stands."""
 DYNAMICS: tuple[str, ...] = ("inertia", "link_inertia")
-"""Besides, of logs that hardly ever move steadily: too few of their rows would count without accelerations."""
+"""Besides, of logs that do not always move steadily: rows in acceleration would not count without it."""
 WRIST: tuple[str, ...] = ("coulomb_friction", "viscous_friction")
 """Per motor of a coupled wrist: what its runs are planned to separate from friction on the arm's side."""
 ARM_SIDE = "wrist_coupling_friction"

@@ -42,7 +42,7 @@ __all__ = [
     "verification_rows",
 ]
 
-LEAST_STEADY_SHARE = 1.0 / 3.0  # of a log's motion: with this share, standard errors grow by a factor of 1.7
+LEAST_STEADY_SHARE = 0.9  # of a log's motion: without the rest, standard errors grow by 5 %
 
 
 def stages_of(campaigns: Sequence[Campaign]) -> tuple[Stage, ...]:
@@ -54,8 +54,9 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
     """The standard set of effects for each stage that the campaigns have tables for.
 
     Poses alone get geometry, springs of the drives, and backlash if approach directions were recorded. Logs get the
-    inertia of rotors and links if less than a third of their rows in motion would count without it, or if these would
-    have less than a third of the mean squared speed. All other effects are left to diagnosis.
+    inertia of rotors and links where they accelerate: if less than nine tenths of their rows in motion would count
+    without it, or if these would have less than nine tenths of the mean squared speed. All other effects are left to
+    diagnosis.
     """
     found = stages_of(campaigns)
     names = dict(STANDARD)
