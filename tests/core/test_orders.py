@@ -18,6 +18,7 @@ from clampid.fitting.solve import Estimate
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.loop.add import add
+from clampid.standard_sets import STANDARD
 from experiments.campaign import Campaign
 
 JOINT = 3
@@ -27,7 +28,8 @@ AMPLITUDE, PHASE = 0.03, 0.7  # Nm, rad
 
 
 def estimate_of(campaign: Campaign) -> Estimate:
-    return on_campaign(identify(campaign), campaign).refit("free_air").estimate
+    model = identify(campaign, {"free_air": STANDARD["free_air"]})
+    return on_campaign(model, campaign).refit("free_air").estimate
 
 
 def motor_angle(campaign: Campaign, joint: int) -> np.ndarray:

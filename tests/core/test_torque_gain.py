@@ -12,6 +12,7 @@ from clampid.identification.identify import identify, stage_rows, standard_effec
 from clampid.models.model import StageModel
 from clampid.slots import Slot, Term
 from clampid.stages.layout import layout_of
+from clampid.standard_sets import STANDARD
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Hidden, measure
@@ -48,7 +49,7 @@ def test_a_gain_has_its_size_beside_masses_that_differ(reported: tuple[Campaign,
 
 def test_a_log_held_in_memory_gives_the_gain_of_one_read_by_windows(reported: tuple[Campaign, float]):
     campaign, _ = reported
-    standard = standard_effects([campaign])["free_air"]
+    standard = [Term(name) for name in STANDARD["free_air"]]
     rows = stage_rows([campaign], layout_of([campaign]), "free_air")
     whole = fit_stage(rows, catalogue(), (*standard, GAIN), {}).model
     windows = identify(campaign, {"free_air": [t.label for t in (*standard, GAIN)]}).stages["free_air"]

@@ -27,6 +27,7 @@ from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.slots import Slot
 from clampid.stages import poses
+from clampid.standard_sets import STANDARD
 from experiments.campaign import Campaign, read_campaign
 from experiments.second_world import draw_robot, measure
 
@@ -221,8 +222,8 @@ def test_a_log_whose_readings_wander_as_one_over_f_lacks_its_rotors_inertia_alon
         draw_robot("offset6", 1067), tmp_path / "arm", noise="pink", log="five_speeds", tables=("free_air",), seed=1067
     )
     campaign = read_campaign(tmp_path / "arm")
-    found = diagnose(identify(campaign), campaign).stages["free_air"]
-    # The rotors do have inertia, which the start model lacks. The moves are recognised, so that their ramps show it.
+    found = diagnose(identify(campaign, {"free_air": STANDARD["free_air"]}), campaign).stages["free_air"]
+    # The rotors do have inertia, which this start model lacks. The moves are recognised, so that their ramps show it.
     assert [(c["name"], c["alternative"]) for c in found.candidates] == [("inertia", False)]
     assert found.verdict == "missing"
     assert WANDERS in found.warnings

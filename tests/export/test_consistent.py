@@ -14,6 +14,7 @@ from clampid.identification.identify import identify
 from clampid.models.consistent import consistent_arm, reference_bodies
 from clampid.models.model import ModelError
 from clampid.slots import Slot
+from clampid.standard_sets import STANDARD
 from experiments.campaign import read_campaign
 from experiments.simulate import simulate
 from kinematics.description import load_robot
@@ -31,7 +32,7 @@ def campaign(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def gravity(campaign):
-    return identify(campaign)
+    return identify(campaign, {"free_air": STANDARD["free_air"]})
 
 
 @pytest.fixture(scope="module")
