@@ -111,9 +111,10 @@ class SecondBench:
     def present(self) -> frozenset[str]:
         """Effects that every robot of this world has, or this one: they are true where they are named.
 
-        The first axis of each arm as built leans by 0.15 to 1.4 mrad, which is what `base_inclination` states.
+        The axes of each arm as built are tilted: the first one by 0.15 to 1.4 mrad, which is what `base_inclination`
+        states, and the others less, which is what `axis_misalignment` states.
         """
-        always = {"inertia", "link_inertia", "unsprung_friction", "base_inclination"}
+        always = {"inertia", "link_inertia", "unsprung_friction", "base_inclination", "axis_misalignment"}
         return frozenset(always | ({"presliding_friction"} if self.robot.friction_law == "dahl" else set()))
 
     def places(self) -> list[str]:

@@ -30,8 +30,8 @@ _OF_POSES = (
 )  # fmt: skip
 _OF_SWEEPS = ("fixture_motion", "slip", "sweep_fraction", "sweep_progress", "wrench")
 _OF_LOGS = (
-    "dry_state", "inclination_torque", "joint_acceleration", "joint_speed", "link_inertia_regressor", "motor_speed",
-    "own_motion", "own_speed", "torque_rate",
+    "axis_torque", "dry_state", "inclination_torque", "joint_acceleration", "joint_speed", "link_inertia_regressor",
+    "motor_speed", "own_motion", "own_speed", "torque_rate",
 )  # fmt: skip
 SIGNALS_NOT_READ: Mapping[Stage, tuple[str, ...]] = {
     "free_air": (*_OF_POSES, *_OF_SWEEPS),
@@ -142,7 +142,7 @@ def _deviation(effect: Effect, station: str, joints: int) -> tuple[Any, Any, Any
 
 def _size(shape: tuple[str | int, ...], layout: Layout) -> tuple[int, int]:
     n = layout.joints
-    counts = {"n": n, "3n": 3 * n, "4n": 4 * n, "6n": 6 * n, "m": len(layout.targets), "a": 1, "s": 1}
+    counts = {"n": n, "2n": 2 * n, "3n": 3 * n, "4n": 4 * n, "6n": 6 * n, "m": len(layout.targets), "a": 1, "s": 1}
     sizes = [counts[k] if isinstance(k, str) else k for k in shape]
     return (sizes[0] if sizes else 1, sizes[1] if len(sizes) > 1 else 1)
 

@@ -58,6 +58,11 @@ SIGNALS: Mapping[str, Signal] = {
     "inclination_torque": Signal(
         ("n", 2), "Nm/rad", "torque that the weight described takes by inclination of the base about horizontal axes"
     ),
+    "axis_torque": Signal(
+        ("n", "2n"),
+        "Nm/rad",
+        "torque that the weight described takes by two tilts of each joint's axis; of joint 1 zero",
+    ),
     "regressor": Signal(("n", "4n"), "m/s^2, 1/s^2", "d tau_joint / d (m, m c) of each link"),
     "link_inertia_regressor": Signal(("n", "6n"), "1/s^2", "d tau_joint / d (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) of links"),
     "tool_regressor": Signal(("n", 4), "m/s^2, 1/s^2", "d tau_joint / d (m, m c) of the tool, flange frame"),

@@ -27,7 +27,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Geometry and links": ("geometry", "link_bending", "bearing_tilt", "base_tilt", "thermal_expansion"),
     "Joints and gears": ("gear_eccentricity", "coupling_ratio_error", "backlash", "joint_compliance",
                          "nonlinear_stiffness", "cross_coupled_stiffness", "hysteresis"),
-    "Weight and loads": ("gravity", "base_inclination", "payload", "gravity_compensator", "dress_pack", "inertia"),
+    "Weight and loads": ("gravity", "base_inclination", "axis_misalignment", "payload", "gravity_compensator",
+                         "dress_pack", "inertia"),
     "Friction": ("coulomb_friction", "viscous_friction", "stribeck_friction", "asymmetric_friction",
                  "load_dependent_friction", "temperature_dependent_friction", "wrist_coupling_friction"),
     "Motors and their signals": ("torque_ripple", "torque_offset", "torque_gain", "time_lag"),
@@ -54,6 +55,10 @@ SIGNATURE: dict[str, tuple[str, str]] = {
     "base_inclination": (
         "Torques that go with the sine and cosine of joint 1's angle, and of the joints that bear the weight.",
         "A dress pack or a gravity compensator at joint 1, where no other joint's torque is recorded.",
+    ),
+    "axis_misalignment": (
+        "Torques of joints that bear weight, as a smooth function of the angles of the joint and its neighbours.",
+        "A gravity compensator or dress pack of joint 2. Links of other weight, where few postures were visited.",
     ),
     "thermal_expansion": (
         "Points move outwards along a link as its temperature rises, or as the robot warms up.",

@@ -24,7 +24,6 @@ from experiments.columns import temperature_columns
 __all__ = ["SteadyTemperatures"]
 
 FloatArray = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 Columns = Mapping[str, FloatArray]
 
 BIN_S = 1.0  # over which readings are averaged: no part of a robot warms within it
@@ -83,9 +82,9 @@ class _Smoother:
     """Straight lines through weighted means of runs, some on either side of each."""
 
     def __init__(self, run: FloatArray, time: FloatArray, weight: FloatArray) -> None:
-        self._run, self._time, self._weight = run, time, weight
-        _, first, self._which, length = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
-        self._start, self._stop = first[self._which], (first + length)[self._which]
+        self._time, self._weight = time, weight
+        _, first, which, length = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
+        self._start, self._stop = first[which], (first + length)[which]
         self._longest = int(length.max(initial=1))
 
     def smoothed(self, values: FloatArray) -> FloatArray:

@@ -36,6 +36,7 @@ def size_of(shape: tuple[str | int, ...], layout: Layout) -> tuple[int, ...]:
     """The shape in numbers, where a layout says how many joints, targets, anchors and sessions there are."""
     counts = {
         "n": layout.joints,
+        "2n": 2 * layout.joints,
         "3n": 3 * layout.joints,
         "4n": 4 * layout.joints,
         "6n": 6 * layout.joints,

@@ -21,6 +21,7 @@ from kinematics.poe import joint_transforms
 from kinematics.robot import RobotDescription
 
 __all__ = [
+    "axis_torque",
     "bearing_signals",
     "declared_weight",
     "described_weight",
@@ -35,8 +36,10 @@ __all__ = [
     "standing_loads",
     "weight_rate",
     "weight_stiffness",
+    "with_tilts",
 ]
 
+ROWS_AT_ONCE = 1 << 12  # of which the stiffness is held, of all joints and their tilts
 RATE_STEP = 1e-4  # s: of the difference; its error goes with the square of the angle turned in it
 
 
@@ -70,6 +73,44 @@ def inclination_torque(campaign: Campaign, q: Array) -> Array:
     gravity turned back, g + g x w.
     """
     return -_torque_by_gravity(campaign, q) @ np.cross(inclination_axes(campaign.gravity), campaign.gravity).T
+
+
+def axis_torque(campaign: Campaign, q: Array) -> Array:
+    """How the weight's torques follow tilts of the joints' axes ``(N, n, 2n)``, Nm/rad, at ``q`` ``(N, n)``, rad.
+
+    Last index: two tilts of each joint, as of :func:`with_tilts`; those of joint 1, an inclination of the base, are
+    zero. A tilt is a further joint before the tilted one, so that this is how torques follow its angle.
+    """
+    robot, n = campaign.robot, campaign.robot.n
+    linkage, screws, weight = np.asarray(robot.linkage), with_tilts(robot), np.zeros((3 * n, 4))
+    weight[2::3] = declared_weight(campaign).reshape(n, 4)
+    out = np.zeros((len(q), n, 2 * n))
+    for first in range(0, len(q), ROWS_AT_ONCE):
+        angles = np.zeros((len(q[first : first + ROWS_AT_ONCE]), 3 * n))
+        angles[:, 2::3] = q[first : first + ROWS_AT_ONCE] @ linkage.T
+        stiffness = gravity_stiffness(screws, angles, weight.ravel(), campaign.gravity)
+        tilts = stiffness[:, 2::3].reshape(-1, n, n, 3)[..., :2].reshape(-1, n, 2 * n)
+        out[first : first + ROWS_AT_ONCE, :, 2:] = linkage.T @ tilts[..., 2:]
+    return out
+
+
+def with_tilts(robot: RobotDescription) -> Array:
+    """Screws ``(3n, 6)`` of the joints, each after two about its point that tilt its axis, base frame, zero pose.
+
+    The first tilt is about the base's axis that is most across the joint's, less what it has along it. A prismatic
+    joint has none.
+    """
+    out = np.zeros((robot.n, 3, 6))
+    for joint, screw, three in zip(robot.joints, np.asarray(robot.screws), out, strict=True):
+        axis, three[2] = screw[:3], screw
+        if not axis.any():
+            continue
+        across = np.eye(3)[int(np.argmin(np.abs(axis)))]
+        first = across - axis * (across @ axis)
+        first /= np.linalg.norm(first)
+        for k, tilt in enumerate((first, np.cross(axis, first))):
+            three[k] = np.r_[tilt, -np.cross(tilt, np.asarray(joint.point, dtype=float))]
+    return out.reshape(-1, 6)
 
 
 def _torque_by_gravity(campaign: Campaign, q: Array) -> Array:

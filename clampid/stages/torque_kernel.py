@@ -17,7 +17,7 @@ import numpy as np
 from clampid.chain.chain import Chain, recorded
 from clampid.chain.compiled import Blocks, compile_rows
 from clampid.chain.lanes import Lanes
-from clampid.stages.loads import declared_weight, flange_to_base, inertial_bodies
+from clampid.stages.loads import declared_weight, flange_to_base, inertial_bodies, with_tilts
 from clampid.stages.rows import Array, Integers
 from experiments.campaign import Campaign
 from kinematics.gravity import inclination_axes
@@ -27,7 +27,7 @@ __all__ = ["TorqueKernel", "torque_kernel"]
 
 COMPUTED = (
     "regressor", "tool_regressor", "link_inertia_regressor", "gravity_torque", "inclination_torque", "inertia_torque",
-    "torque_rate",
+    "torque_rate", "axis_torque",
 )  # fmt: skip
 POSTURE = ("q", "joint_speed", "joint_acceleration")
 
@@ -84,6 +84,8 @@ def torque_kernel(campaign: Campaign, chain: Chain) -> TorqueKernel:
     robot, n = campaign.robot, campaign.robot.n
     inputs = {name: ca.SX.sym(name, n) for name in POSTURE}
     computed = _computed(campaign, inputs)
+    if any(name == "axis_torque" for name, _ in chain.signals):
+        computed["axis_torque"] = _axis_torque(campaign, inputs["q"])
     theta = ca.SX.sym("theta", len(chain.slots))
     flats = []
     for name, width in chain.signals:
@@ -111,6 +113,23 @@ def torque_kernel(campaign: Campaign, chain: Chain) -> TorqueKernel:
     function = ca.Function("torques", [theta, ca.vertcat(*inputs.values())], [ca.cse(output)])
     widths = tuple((name, symbol.shape[0]) for name, symbol in inputs.items())
     return TorqueKernel(widths, tuple(touched), linear, compile_rows(function))
+
+
+def _axis_torque(campaign: Campaign, q: Any) -> Any:
+    """Expression ``(n, 2n)`` of :func:`clampid.stages.loads.axis_torque`: the weight's torques, differentiated."""
+    robot, n = campaign.robot, campaign.robot.n
+    linkage, points = ca.sparsify(ca.DM(np.asarray(robot.linkage))), np.array([j.point for j in robot.joints])
+    weight, angles, tilts = np.zeros((3 * n, 4)), ca.SX(3 * n, 1), ca.SX.sym("tilts", 2 * n)
+    weight[2::3] = declared_weight(campaign).reshape(n, 4)
+    chain = linkage @ q
+    for i in range(n):
+        angles[3 * i : 3 * i + 2] = tilts[2 * i : 2 * i + 2] if i else ca.SX(2, 1)
+        angles[3 * i + 2] = chain[i]
+    no_motion = (ca.SX(3 * n, 1), ca.SX(3 * n, 1))
+    found = symbolic_torques(with_tilts(robot), points.repeat(3, axis=0), campaign.gravity, angles, *no_motion)
+    joints = [3 * i + 2 for i in range(n)]
+    torque = linkage.T @ (found.weight[joints, :] @ ca.DM(weight.ravel()))
+    return ca.substitute(ca.jacobian(torque, tilts), tilts, ca.DM.zeros(2 * n))
 
 
 def _computed(campaign: Campaign, row: dict[str, Any]) -> dict[str, Any]:

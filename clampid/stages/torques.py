@@ -14,6 +14,7 @@ from clampid.chain.chain import Chain, Deviations
 from clampid.slots import Layout
 from clampid.stages.counting import counting, folds_of, motion_signals, negligible, standing_joints
 from clampid.stages.loads import (
+    axis_torque,
     described_weight,
     gravity_signals,
     inclination_torque,
@@ -147,6 +148,7 @@ def torque_rows(
             continue
         q, qd, qdd, _ = motion.of(chosen)
         own = gravity_signals(campaign, q) | {"inclination_torque": inclination_torque(campaign, q)}
+        own["axis_torque"] = axis_torque(campaign, q)
         own["torque_rate"] = weight_rate(campaign, q, qd)
         for name, values in inertial_signals(campaign, q, qd, qdd).items():
             own[name] = own[name] + values if name in own else values

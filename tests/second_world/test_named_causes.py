@@ -29,6 +29,8 @@ OF_ITS_SIZE = 0.8  # of the noise
         ("stribeck_friction/free_air", 3803),  # the same, and without inertia in the model no fast row counts
         ("power_viscous_friction/free_air", 4014),  # its slow runs do not determine the inertia that the fast one shows
         pytest.param("asymmetric_friction/free_air", 4014, marks=pytest.mark.study),
+        pytest.param("temperature_dependent_friction/free_air", 4013, marks=pytest.mark.study),  # beside tilted axes
+        ("torque_offset/free_air", 4012),  # beside a tilted axis, which a smooth function of two angles had shown
         ("ambient_torque/free_air", 4015),  # as slow as the room's temperature, it was learned as noise
         ("stribeck_friction/free_air", 4016),  # where joints begin to move: half of the log, and it did not count
         ("bearing_tilt/poses", 3706),  # the next joint's bearing fits better, with a spring of negative stiffness
