@@ -102,10 +102,13 @@ def runs_determine_each_other(estimate: Estimate, seed: int) -> bool:
         For the division into parts.
     """
     rows, white = estimate.problem.rows, estimate.whitened
-    part = parts_of_rows(rows, seed)[white.entry]
-    if not rows.kind.moving or len(np.unique(part)) < 2:
+    if not rows.kind.moving:
         return True
-    normals = [(J.T @ J, len(J)) for J in (white.jacobian[part == k] for k in np.unique(part))]
+    part = parts_of_rows(rows, seed)[white.entry]
+    parts = np.unique(part)  # a run of which no row counts is none
+    if len(parts) < 2:
+        return True
+    normals = [(J.T @ J, len(J)) for J in (white.jacobian[part == k] for k in parts)]
     whole = estimate.prior_precision + sum(A for A, _ in normals)
     return all(np.sum(A * inverse_of(whole - A)) <= AS_NOISE * count for A, count in normals)
 

@@ -34,6 +34,7 @@ __all__ = [
     "inertial_signals",
     "lean_torque",
     "standing_loads",
+    "weight_behind_tilts",
     "weight_rate",
     "weight_stiffness",
     "with_tilts",
@@ -82,16 +83,22 @@ def axis_torque(campaign: Campaign, q: Array) -> Array:
     zero. A tilt is a further joint before the tilted one, so that this is how torques follow its angle.
     """
     robot, n = campaign.robot, campaign.robot.n
-    linkage, screws, weight = np.asarray(robot.linkage), with_tilts(robot), np.zeros((3 * n, 4))
-    weight[2::3] = declared_weight(campaign).reshape(n, 4)
+    linkage, screws, weight = np.asarray(robot.linkage), with_tilts(robot), weight_behind_tilts(campaign)
     out = np.zeros((len(q), n, 2 * n))
     for first in range(0, len(q), ROWS_AT_ONCE):
         angles = np.zeros((len(q[first : first + ROWS_AT_ONCE]), 3 * n))
         angles[:, 2::3] = q[first : first + ROWS_AT_ONCE] @ linkage.T
-        stiffness = gravity_stiffness(screws, angles, weight.ravel(), campaign.gravity)
+        stiffness = gravity_stiffness(screws, angles, weight, campaign.gravity)
         tilts = stiffness[:, 2::3].reshape(-1, n, n, 3)[..., :2].reshape(-1, n, 2 * n)
         out[first : first + ROWS_AT_ONCE, :, 2:] = linkage.T @ tilts[..., 2:]
     return out
+
+
+def weight_behind_tilts(campaign: Campaign) -> Array:
+    """:func:`declared_weight` of the links of :func:`with_tilts` ``(12n,)``: those between tilts weigh nothing."""
+    out = np.zeros((campaign.robot.n, 3, 4))
+    out[:, 2] = declared_weight(campaign).reshape(-1, 4)
+    return out.ravel()
 
 
 def with_tilts(robot: RobotDescription) -> Array:

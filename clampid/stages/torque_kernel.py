@@ -17,7 +17,7 @@ import numpy as np
 from clampid.chain.chain import Chain, recorded
 from clampid.chain.compiled import Blocks, compile_rows
 from clampid.chain.lanes import Lanes
-from clampid.stages.loads import declared_weight, flange_to_base, inertial_bodies, with_tilts
+from clampid.stages.loads import declared_weight, flange_to_base, inertial_bodies, weight_behind_tilts, with_tilts
 from clampid.stages.rows import Array, Integers
 from experiments.campaign import Campaign
 from kinematics.gravity import inclination_axes
@@ -119,16 +119,14 @@ def _axis_torque(campaign: Campaign, q: Any) -> Any:
     """Expression ``(n, 2n)`` of :func:`clampid.stages.loads.axis_torque`: the weight's torques, differentiated."""
     robot, n = campaign.robot, campaign.robot.n
     linkage, points = ca.sparsify(ca.DM(np.asarray(robot.linkage))), np.array([j.point for j in robot.joints])
-    weight, angles, tilts = np.zeros((3 * n, 4)), ca.SX(3 * n, 1), ca.SX.sym("tilts", 2 * n)
-    weight[2::3] = declared_weight(campaign).reshape(n, 4)
-    chain = linkage @ q
+    angles, tilts, chain = ca.SX(3 * n, 1), ca.SX.sym("tilts", 2 * n), linkage @ q
     for i in range(n):
         angles[3 * i : 3 * i + 2] = tilts[2 * i : 2 * i + 2] if i else ca.SX(2, 1)
         angles[3 * i + 2] = chain[i]
     no_motion = (ca.SX(3 * n, 1), ca.SX(3 * n, 1))
     found = symbolic_torques(with_tilts(robot), points.repeat(3, axis=0), campaign.gravity, angles, *no_motion)
     joints = [3 * i + 2 for i in range(n)]
-    torque = linkage.T @ (found.weight[joints, :] @ ca.DM(weight.ravel()))
+    torque = linkage.T @ (found.weight[joints, :] @ ca.DM(weight_behind_tilts(campaign)))
     return ca.substitute(ca.jacobian(torque, tilts), tilts, ca.DM.zeros(2 * n))
 
 
