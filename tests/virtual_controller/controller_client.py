@@ -18,9 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from experiments.links.eki_config import config_text
 from experiments.links.schema import MOTION, STATE
+from experiments.virtual_controller.arm import COUNT, FLICKER
 from experiments.virtual_controller.running import Asked, built
 from experiments.virtual_controller.serving import Address
 from kinematics.description import load_robot
@@ -30,6 +32,7 @@ START = (
     "app = typer.Typer(); app.command()(virtual_robot); app(sys.argv[1:])"
 )
 AXES = range(1, 7)
+TRANSMISSION = load_robot("kuka_kr20_r1810").transmission
 HOME = np.array([0.0, -60.0, 18.5, 0.0, 0.0, 0.0])
 STEP = np.array([10.0, 5.0, -5.0, 20.0, 10.0, -30.0])
 
@@ -349,3 +352,13 @@ def inside(truth: Path | None = None, **asked: Any) -> Iterator[Inside]:
 def angles(answer: dict[str, float], of: str = "Axis") -> np.ndarray[Any, Any]:
     """Six values of an answer."""
     return np.array([answer[f"{of}.A{k}"] for k in AXES])
+
+
+def same_place(read: ArrayLike, at: ArrayLike, readings: int = 1) -> bool:
+    """Whether angles that were read, deg, are those of ``at``, within what encoders can read wrongly.
+
+    A count is rounded and flickers: a motor's angle is wrong by half a count and five standard deviations at most, and
+    a joint's by that of every motor that turns it. ``readings``: two where ``at`` was read as well.
+    """
+    wrong = readings * (0.5 + 5 * FLICKER) * np.degrees(COUNT)
+    return bool(np.all(np.abs(np.subtract(read, at)) <= wrong * np.sum(np.abs(TRANSMISSION), axis=1)))

@@ -5,9 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 
-import numpy as np
 import pytest
-from controller_client import HOME, STEP, Controller, Inside, Link, angles, inside, move, numbers
+from controller_client import HOME, STEP, Controller, Inside, Link, angles, inside, move, numbers, same_place
 
 from experiments.virtual_controller.errors import ControllerError
 from experiments.virtual_controller.faults import Fault, parse_faults
@@ -178,7 +177,7 @@ def test_answers_are_split_coalesced_and_padded(robot: Controller) -> None:
     for fault in ("split=7", "coalesce=3", "padding=5"):
         robot.line("operator", f"fault {fault}")
     assert robot.run(1, [HOME + STEP, HOME]) == [1, 2, 2, 3]
-    assert np.allclose(angles(robot.ask()), HOME, atol=2e-4)
+    assert same_place(angles(robot.ask()), HOME)
     with robot.motion() as link:
         link.send(b"".join(move(robot.boot, 2, [HOME])))
         first = link.sock.recv(1000)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from controller_client import HOME, STEP, Controller, Process, angles, inside, move, process
+from controller_client import HOME, STEP, Controller, Process, angles, inside, move, process, same_place
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def test_program_is_executed_once_and_told(robot: Controller) -> None:
     assert robot.run(1, points) == [1, 2, 2, 2, 3]
     state = robot.ask()
     assert [state[f"State.{k}"] for k in ("Accepted", "Running", "Finished", "Aborted", "Point")] == [1, 0, 1, 0, 3]
-    assert np.allclose(angles(state), points[-1], atol=2e-4)
+    assert same_place(angles(state), points[-1])
     assert robot.told(1) == [(1, 0)]
     assert robot.told(2) == [(1, 1), (1, 2), (1, 3)]
     reached = [e["at"] for e in robot.events() if e["event"] == 2][-3:]
@@ -40,7 +40,7 @@ def test_nothing_moves_before_the_program_is_whole(robot: Controller) -> None:
     with robot.motion() as link:
         link.send(documents[0] + documents[1][:-1])
         time.sleep(0.2)
-        assert np.allclose(angles(robot.ask()), before, atol=2e-4)
+        assert same_place(angles(robot.ask()), before, readings=2)
     time.sleep(0.1)
     state = robot.ask()
     assert (state["State.Accepted"], state["State.Reason"]) == (0, 11)
@@ -103,7 +103,7 @@ def test_stop_latches_until_released(robot: Controller) -> None:
         robot.line("operator", "speed 100")
         assert [int(link.receive()["Event"]) for _ in range(3)] == [1, 2, 3]
     stood = [e["at"] for e in robot.events() if e["event"] == 5][-1]
-    assert np.allclose(stood, where, atol=2e-4)
+    assert same_place(where, stood)
 
 
 @pytest.mark.parametrize(("lines", "reason"), [(["estop"], 7), (["mode T1"], 8), (["mode T2"], 8), (["drives off"], 9)])
@@ -186,7 +186,7 @@ def test_killed_controller_goes_on_where_it_was_seen_last(tmp_path: Path) -> Non
     with process("--speed", "100", truth=truth) as second:
         state = second.ask()
         assert (state["State.Boot"], state["State.Accepted"]) == (2, 0)
-        assert np.allclose(angles(state), HOME + STEP, atol=2e-4)
+        assert same_place(angles(state), HOME + STEP)
         assert (second.said(1), second.said(3)) == ([(1, 1, 0), (1, 2, 0)], [(1, 1, 1)])
         with second.motion() as link:
             link.send(b"".join(move(1, 3, [HOME])))

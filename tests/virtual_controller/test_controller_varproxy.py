@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 import pytest
-from controller_client import HOME, STEP, inside, move
+from controller_client import HOME, STEP, inside, move, same_place
 
 PEER = """
 import json, sys
@@ -50,7 +50,7 @@ def test_unmodified_peer_reads_and_writes() -> None:
         assert axes.startswith("{E6AXIS: A1 ")
         assert axes.endswith("E6 0.0}")
         found = [float(part.split()[-1]) for part in axes.removeprefix("{E6AXIS: ").split(",")[:6]]
-        assert np.allclose(found, HOME + STEP, atol=2e-4)
+        assert same_place(found, HOME + STEP)
         assert float(told["$TORQUE_AXIS_ACT[2]"] or 0) == pytest.approx(state["Torque.A2"], abs=1.0)
         assert float(told["$MOT_TEMP[1]"] or 0) == pytest.approx(state["Temperature.A1"], abs=2)
         assert told["$MODE_OP"] is None  # the mode switch is turned by hand
