@@ -59,11 +59,9 @@ IN_CATALOGUE: Mapping[str, str] = {
     "thermal_expansion": "thermal_expansion",
     "depth_scale": "instrument_axis_scale",
     "damaged_tooth": "local_angle_error",
+    "hysteresis": "presliding_lost_motion",
 }
-"""The catalogue's name for each; a tool other than declared is absorbed by the standard set and is not among them.
-
-Lost motion that builds up with the way since the last reversal has no name in poses: it is one of the unknown.
-"""
+"""The catalogue's name for each; a tool other than declared is absorbed by the standard set and is not among them."""
 
 _FIRST_TABLE = {name: effect.tables[0] for name, effect in HIDDEN.items()}
 _STAGE_OF = {"poses": "poses", "free_air": "free_air"}

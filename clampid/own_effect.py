@@ -25,8 +25,8 @@ OUTPUTS_OF_STAGES: Mapping[Stage, tuple[str, ...]] = {
 }
 """The stations whose deviations a stage can show; in poses torques at joints are loads on springs."""
 _OF_POSES = (
-    "anchor_is", "anchor_way", "base_moment", "direction", "link_force", "link_moment", "position", "session_is",
-    "target_is", "transverse_moment",
+    "anchor_is", "anchor_way", "base_moment", "direction", "link_force", "link_moment", "position", "reversal_way",
+    "session_is", "target_is", "transverse_moment", "turned_back",
 )  # fmt: skip
 _OF_SWEEPS = ("fixture_motion", "slip", "sweep_fraction", "sweep_progress", "wrench")
 _OF_LOGS = (

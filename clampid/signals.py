@@ -37,6 +37,10 @@ SIGNALS: Mapping[str, Signal] = {
     "q": Signal(("n",), "rad", "joint angles as the controller reports them"),
     "motor": Signal(("n",), "rad", "motor-shaft angles, T^-T q"),
     "direction": Signal(("n",), "", "direction of the last motion of each joint: +1, -1, 0 unknown", sided=True),
+    "reversal_way": Signal(
+        ("n",), "rad", "way of each joint since it last turned back, by the order of the visits; 100 if unknown"
+    ),
+    "turned_back": Signal(("n",), "", "1 if a joint's last motion was against its way from the visit before, else 0"),
     "torque": Signal(
         ("n",), "Nm", "joint torque that the drive exerts: +dV/dq at rest, with that of acceleration in motion"
     ),

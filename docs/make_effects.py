@@ -89,8 +89,9 @@ SIGNATURE: dict[str, tuple[str, str]] = {
         "A yielding clamp; nonlinear stiffness.",
     ),
     "hysteresis": (
-        "A loop of the torsion over the load, as wide after each reversal.",
-        "Backlash and dry friction. Sweeps of several amplitudes separate them.",
+        "A loop of the torsion over the load, as wide after each reversal. In poses an error by the last motion that "
+        "is smaller after a short way.",
+        "Backlash and dry friction. Sweeps of several amplitudes, or ways of several lengths, separate them.",
     ),
     "gravity": (
         "Torques, or deflections, that follow the posture like a weight.",

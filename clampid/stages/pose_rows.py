@@ -11,6 +11,7 @@ import pandas as pd
 from clampid.slots import Layout
 from clampid.stages.further_columns import further_signals
 from clampid.stages.loads import standing_loads
+from clampid.stages.reversals import since_reversal
 from clampid.stages.row_constants import PoseConstants, joined
 from clampid.stages.rows import Array, Bools, Rows
 from clampid.stages.statements import stated_base_pose, statements_of
@@ -229,6 +230,7 @@ def _one(
     count = len(frame)
     q = frame[[f"q{i + 1}_rad" for i in range(n)]].to_numpy(float)
     direction = frame[[f"dir{i + 1}" for i in range(n)]].to_numpy(float)
+    reversal_way, turned_back = since_reversal(campaign, table)
     names = frame["target"].astype(str).to_numpy()
     target = np.array([campaign.targets.get(name, np.zeros(3)) for name in names])
     session_is = np.zeros((count, len(layout.sessions)))
@@ -249,6 +251,8 @@ def _one(
         "q": q,
         "motor": q @ np.linalg.inv(np.asarray(robot.transmission)),
         "direction": direction,
+        "reversal_way": reversal_way,
+        "turned_back": turned_back,
         "joint_motion": direction,
         "motor_motion": direction,
         "rest_direction": REST_FRICTION * robot.rated_torques * direction,

@@ -29,6 +29,7 @@ from clampid.slots import Layout, Slot
 from clampid.stages.pose_kernel import link_points, pose_function
 from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.poses import constants_of
+from clampid.stages.reversals import UNKNOWN_WAY
 from clampid.stages.stage_kind import kind_of, known_of
 from experiments.columns import is_further
 from kinematics.gravity import STANDARD_GRAVITY
@@ -227,10 +228,11 @@ class IdentifiedArm:
                 return direction
             case "rest_direction":
                 return ca.DM(REST_FRICTION * self.robot.rated_torques) * direction
-            case "link_temperature":
-                return conditions[n : 2 * n]
-            case "motor_temperature":
-                return conditions[2 * n : 3 * n]
+            case "reversal_way" | "turned_back":  # an approach is as long as its lost motion needs
+                return ca.DM.ones(n) * (UNKNOWN_WAY if name == "reversal_way" else 0.0)
+            case "link_temperature" | "motor_temperature":
+                first = n if name == "link_temperature" else 2 * n
+                return conditions[first : first + n]
             case "elapsed":
                 return conditions[3 * n]
             case "session_is":

@@ -11,6 +11,7 @@ from clampid.chain.chain import build_chain
 from clampid.stages.loads import bearing_signals, declared_weight, gravity_signals, weight_stiffness
 from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.poses import constants_of, evaluate, predict
+from clampid.stages.reversals import UNKNOWN_WAY
 from clampid.stages.row_constants import PoseConstants
 from clampid.stages.rows import Rows
 from clampid.stages.stage_kind import kind_of
@@ -80,6 +81,8 @@ def _rows(arm: IdentifiedArm, q: Array, conditions: Conditions, target: Array) -
         "joint_motion": direction,
         "motor_motion": direction,
         "rest_direction": REST_FRICTION * arm.robot.rated_torques * direction,
+        "reversal_way": np.full((count, arm.robot.n), UNKNOWN_WAY),
+        "turned_back": np.zeros((count, arm.robot.n)),
         "elapsed": np.full(count, conditions.elapsed),
         "target_is": np.zeros((count, len(arm.layout.targets))),
         "anchor_is": np.zeros((count, len(arm.layout.anchors))),

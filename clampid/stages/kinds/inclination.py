@@ -36,6 +36,9 @@ DEFAULT_STD = 1e-5  # rad: a good electronic level
 PARTS = 10  # of a body's rows, held out one after the other
 BLOCK_ROWS = 8  # neighbouring rows that share their noise and are flipped together
 AXES = 3  # of the unknown constant o
+_STANDING = (
+    "direction", "joint_motion", "motor_motion", "rest_direction", "reversal_way", "sag_torque", "turned_back",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +77,7 @@ def inclination_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
     signals |= {
         "q": q,
         "motor": q @ np.linalg.inv(np.asarray(robot.transmission)),
-        **dict.fromkeys(("direction", "joint_motion", "motor_motion", "rest_direction", "sag_torque"), none),
+        **dict.fromkeys(_STANDING, none),
         "elapsed": _elapsed(time, session),
         "session_is": np.eye(len(layout.sessions))[session],
         **{
