@@ -26,6 +26,7 @@ from clampid.diagnosis.wandering import level_beside, of_level, whitened_by
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.events import event_scores
+from clampid.evidence.exchanges import by_exchanges
 from clampid.evidence.flips import Flips, with_null
 from clampid.evidence.orders import order_scores
 from clampid.evidence.scan import scan
@@ -203,13 +204,31 @@ def _scores_of(
     events = event_scores(estimate, space, effects) + order_scores(estimate, space, effects)
     named, named_null = with_null(space, named, flips, seed)
     named, named_null = named + events, named_null.joined(len(events), seed)
-    local = scan(estimate, space, effects, flips, seed)
-    named, named_null = named + local, named_null.joined(1, seed + 2) if local else named_null
+    named, named_null = _with_permuted(estimate, space, named, named_null, effects, seed)
     robot = estimate.problem.rows.robot
     named = [s if _plausible(s, effects, robot, space.scale) else replace(s, state="implausible") for s in named]
     named = [replace(s, state="absent") if _without_weight(s, effects, estimate.problem.rows) else s for s in named]
     folds = stability_folds(estimate.problem.rows)[estimate.whitened.entry]
     return CandidateScores(space, named, free, named_null, free_null, best_of(free, free_null), folds)
+
+
+def _with_permuted(
+    estimate: Estimate, space: Space, named: list[Scored], null: Flips, effects: dict[str, Effect], seed: int
+) -> tuple[list[Scored], Flips]:
+    """The scores and their null, with those by permutations: of names that few visits show, and of local errors.
+
+    Half of the false-alarm rate is for them. A name that is tested in both ways has the smaller p-value.
+    """
+    few = by_exchanges(estimate, space, named, effects, seed + 3)
+    local = scan(estimate, space, effects, len(null.maxima), seed)
+    if not few and not local:
+        return named, null
+    both = float(np.log(2.0)) if few and local else 0.0
+    permuted = [s.of_many(s.log_p + both, 0.0) for s in [*few.values(), *local]]
+    permuted, null = null.sharing(permuted, seed + 2)
+    for k, s in zip(few, permuted, strict=False):
+        named[k] = min(named[k], s, key=lambda one: one.log_p)
+    return [*named, *permuted[len(few) :]], null
 
 
 def _without_weight(s: Scored, effects: Mapping[str, Effect], rows: Rows) -> bool:

@@ -6,7 +6,7 @@ The maximum over all candidates (Westfall and Young) controls false alarms over 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,6 +43,16 @@ class Flips:
         """The same with further tests that have p-values of their own: under the null, -ln p is exponential."""
         drawn = np.random.default_rng([seed, tests]).exponential(size=(len(self.maxima), tests))
         return Flips(np.maximum(self.maxima, drawn.max(axis=1, initial=0.0)))
+
+    def sharing(self, others: Sequence[Scored], seed: int) -> tuple[list[Scored], Flips]:
+        """Other candidates, tested by a null of their own, on this scale, and the null of which half is for them.
+
+        If they were some more tests among many, they would have next to nothing of the false-alarm rate.
+        """
+        drawn = np.random.default_rng(seed).exponential(size=len(self.maxima))
+        scale = _Scale(self.maxima, np.random.default_rng(seed).exponential(size=10_000))
+        on_scale = [replace(s, log_p=min(-float(scale(np.array(-s.log_p))), 0.0)) if s.freedom else s for s in others]
+        return on_scale, Flips(np.maximum(self.maxima, scale(drawn)))
 
 
 def with_null(space: Space, scored: Sequence[Scored], flips: int, seed: int) -> tuple[list[Scored], Flips]:

@@ -9,10 +9,10 @@ returns with each visit.
 Such an effect moves only a few poses. Sign flips are no valid null for it: with a dozen poses that are all far off,
 flipped signs reach sums as large as the observed one far too often. The null is therefore that the poses' errors are
 exchangeable: each pose's error of a joint's angle, in standard deviations and clipped at three, is permuted at random
-among the poses. The maximum over all angles of all joints follows Gumbel's law of extremes, fitted to the permutations
-by its mean and variance. The p-value of a candidate is that of this maximum. It counts as one more test among the named
-effects. Sources: Fisher, The Design of Experiments, 1935, for the permutations; Gumbel, Statistics
-of Extremes, 1958.
+among the poses. The maximum over all angles of a joint follows Gumbel's law of extremes, fitted to the permutations
+by its mean and variance. The p-value of a candidate is that of this maximum, times the number of joints tried
+(Bonferroni): one joint may have larger maxima than another, because few poses show its angles. Sources: Fisher, The
+Design of Experiments, 1935, for the permutations; Gumbel, Statistics of Extremes, 1958.
 """
 
 from __future__ import annotations
@@ -30,13 +30,12 @@ from scipy import optimize, sparse
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate, is_sought
 from clampid.evidence.columns import Columns, Levers, channel_starts
+from clampid.evidence.joint_errors import JointErrors, joint_levers
 from clampid.evidence.score import WEAK_BELOW, Scored, score
 from clampid.evidence.space import Space, space_of
-from clampid.fitting.noise import MAD_TO_STD
 from clampid.fitting.solve import Estimate
 from clampid.fitting.wander import Filters
 from clampid.slots import Slot, Term
-from clampid.stages import poses
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array, Integers
 from clampid.stages.stage_kind import kind_of
@@ -46,8 +45,6 @@ __all__ = ["FEWEST_POSES", "place_of", "scan"]
 FEWEST_POSES = 4  # near an angle: three determine height, middle and width of a bump, one more may contradict them
 MIN_SHARE_OF_HEIGHT = 0.1  # of a bump, at a pose that counts as near
 ANGLES_PER_TURN = 3600  # at which a shape is tabulated
-# Standard deviations at which poses are clipped in the null: one wrong pose of three must not look like a bump.
-LARGEST_RESIDUAL_IN_NULL = 3.0
 FADED = 1e-9  # of a column's largest number: a smaller one is rounding
 REFINED_BELOW = 0.1  # p: the shape of what is not nearly significant is left at the best angle tried
 SCAN_STEP = 2.0 / 3.0  # distance of the angles tried, in widths at half height: at most a tenth of the height is missed
@@ -68,8 +65,7 @@ class _Tried:
     weight
         ``(V, C)``, columns of unit length: the shape as each pose sees it.
     error
-        ``(V,)``: error of the joint's angle at each pose, in robust standard deviations over the poses (from their
-        median), clipped at :data:`LARGEST_RESIDUAL_IN_NULL`.
+        ``(V,)``: error of the joint's angle at each pose, as :class:`clampid.evidence.joint_errors.JointErrors` has it.
     levers
         Derivatives by the joints' angles.
     """
@@ -91,6 +87,13 @@ class _Tried:
         """What each angle explains of the poses' errors ``(..., V)``: ``(..., C)``, of mean 1 under the null."""
         return np.asarray(error @ self.weight) ** 2
 
+    def log_p(self, order: Integers) -> float:
+        """Natural logarithm of the p of the maximum over all angles; ``order`` ``(exchanges, V)``: permutations."""
+        maxima = self.statistic(self.error[order]).max(axis=1)
+        spread = max(float(np.std(maxima)) * np.sqrt(6.0) / np.pi, 1e-9)
+        off = (float(self.statistic(self.error).max()) - float(np.mean(maxima))) / spread + np.euler_gamma
+        return float(np.log(-np.expm1(-np.exp(-off)))) if off < 30.0 else -off
+
 
 def scan(estimate: Estimate, space: Space, effects: Mapping[str, Effect], exchanges: int, seed: int) -> list[Scored]:
     """Each scanned effect at the best angle of each joint that lacks it; p-values allow for all angles tried.
@@ -107,16 +110,9 @@ def scan(estimate: Estimate, space: Space, effects: Mapping[str, Effect], exchan
     tried = _all_places(estimate, space, effects)
     if not tried:
         return []
-    rng, maxima = np.random.default_rng(seed), np.zeros(exchanges)
+    rng, found = np.random.default_rng(seed), []
     for t in tried:
-        order = np.argsort(rng.random((exchanges, len(t.error))), axis=1)
-        maxima = np.maximum(maxima, t.statistic(t.error[order]).max(axis=1))
-    spread = max(float(np.std(maxima)) * np.sqrt(6.0) / np.pi, 1e-9)
-    middle = float(np.mean(maxima)) - np.euler_gamma * spread
-    found = []
-    for t in tried:
-        off = (float(t.statistic(t.error).max()) - middle) / spread
-        log_p = float(np.log(-np.expm1(-np.exp(-off)))) if off < 30.0 else -off
+        log_p = t.log_p(np.argsort(rng.random((exchanges, len(t.error))), axis=1)) + float(np.log(len(tried)))
         best = _refined(estimate, space, t) if log_p < np.log(REFINED_BELOW) else _candidate(estimate, t, t.best)
         chosen = len(best.shapes) * float(np.log(max(space.rows, 2)))
         found.append(score(space, [best])[0].of_many(log_p, chosen))
@@ -138,9 +134,7 @@ def _all_places(
     wanted = [e for e in effects.values() if e.scanned is not None and kind_of(stage).has(e)]
     if not kind_of(stage).points or not wanted:
         return []
-    theta, offsets = estimate.theta[: len(estimate.slots)], estimate.problem.chain.offsets
-    _, sensitivity = poses.by_station(rows, poses.evaluate(rows, estimate.problem.chain, theta))
-    levers = Levers.of(estimate, sensitivity[:, :, offsets["joint_angle"]])
+    levers = joint_levers(estimate)
     of_basis = (levers.filters or Filters(())).shares(space.basis)
     active = {(slot.effect, slot.place) for slot in estimate.slots}
     found = []
@@ -214,32 +208,13 @@ def _places(
         return None
     along = np.asarray(D.T @ space.residual[: space.rows]) - taken @ filters.shares(space.residual)
     explained = along[able] ** 2 / (space.scale**2 * left[able])
-    by_pose = _by_pose(pose[levers.entry], lever)
-    products = (by_pose @ D[:, able]).tocsc()
+    seen_by = JointErrors.of(space, lever, pose[levers.entry].astype(np.int64))
+    products = (seen_by.sums @ D[:, able]).tocsc()
     if levers.filters is None:
         weight = _of_unit_length(products)
     else:  # every pose then has a part in the level that is taken from the others
-        weight = _of_unit_length(products.toarray() - filters.summed(by_pose) @ taken[able].T)
-    return _Tried(effect, j, tuple(shapes[k] for k in able), explained, weight, _errors(space, by_pose), levers)
-
-
-def _by_pose(pose: Integers, lever: Array) -> sparse.csr_matrix:
-    """Sums ``(V, M)`` over the entries of each pose that sees a joint's angle, weighted by a lever of unit length.
-
-    ``pose``, ``lever`` ``(M,)``: each entry's pose, and its derivative by the angle.
-    """
-    count = int(pose.max(initial=-1)) + 1
-    sees = np.sqrt(np.bincount(pose, lever**2, minlength=count))
-    able = sees > 1e-9 * sees.max(initial=0.0)
-    member = sparse.csr_matrix((lever, (pose, np.arange(len(pose)))), shape=(count, len(pose)))
-    return (sparse.diags(1.0 / sees[able]) @ member[able]).tocsr()
-
-
-def _errors(space: Space, by_pose: sparse.csr_matrix) -> Array:
-    """Errors of the joint's angle ``(V,)``, as :class:`_Tried` has them."""
-    error = by_pose @ space.residual[: space.rows]
-    error = error / max(MAD_TO_STD * float(np.median(np.abs(error))), 1e-300)
-    return np.asarray(np.clip(error, -LARGEST_RESIDUAL_IN_NULL, LARGEST_RESIDUAL_IN_NULL))
+        weight = _of_unit_length(products.toarray() - filters.summed(seen_by.sums) @ taken[able].T)
+    return _Tried(effect, j, tuple(shapes[k] for k in able), explained, weight, seen_by.error, levers)
 
 
 def _of_unit_length(columns: Array | sparse.csc_matrix) -> Array | sparse.csc_matrix:
