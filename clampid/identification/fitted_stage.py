@@ -146,8 +146,8 @@ def fit_stage(
     cost
         ``mean-norm``, for poses only: see :mod:`clampid.fitting.mean_norm`.
     last
-        An earlier fit of the same rows with other terms. Its noise gives the first weights of poses; its slots tell
-        which clearances are new.
+        An earlier fit of the same rows with other terms. Its noise gives the first weights of poses and logs; its slots
+        tell which clearances are new.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def fit_stage(
         rows = from_likeliest_turn(trial, carried_over(rows, before, effects)[0])
     fitted_rows = rows.outside(held_out)
 
-    weights = last.noise if last is not None and rows.kind.points else None
+    weights = None if last is None or rows.kind.solved else last.noise
 
     def fit_terms(chosen: Sequence[Term], values: Mapping[Slot, float]) -> Estimate:
         """A fit of some terms, from which initial values of the others are found."""

@@ -202,7 +202,8 @@ def test_errors_before_and_after_are_in_the_same_unit(torques: Campaign):
     before, after = (on_campaign(model, torques).refit("free_air") for model in (first, mended))
     stage = addition.stages["free_air"]
     assert stage.before.heldout_rms == pytest.approx(first.ledger[-1].heldout_rms, rel=1e-5)
-    assert stage.after.heldout_rms == pytest.approx(after.errors(None, 0, before.floor).heldout_rms, rel=1e-5)
+    # Two rounds learn a log's noise, and `add` begins with that of the fit before: a tenth of the units' difference.
+    assert stage.after.heldout_rms == pytest.approx(after.errors(None, 0, before.floor).heldout_rms, rel=1e-3)
     assert after.errors(None, 0).heldout_rms > 1.005 * stage.after.heldout_rms
 
 
