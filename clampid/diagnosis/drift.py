@@ -4,6 +4,7 @@ Residuals' means over each visit, in the order of time, are tested for correlati
 judged by ten times its p-value (Bonferroni). If they are correlated, the null distribution flips blocks of
 consecutive visits of that length, and effects of time cannot be distinguished from drift. Where readings are known to
 wander, their noise contains that level already; blocks are then needed only if what is left without it is correlated.
+A missing effect may be what makes visits alike. So what the best significant probe explains is left out, too.
 The variance at each lag is that of Ljung, Box, On a measure of lack of fit in time series models, Biometrika 65, 1978.
 """
 
@@ -15,11 +16,14 @@ import numpy as np
 from scipy import stats
 
 from clampid.display import number
+from clampid.evidence.score import Scored
+from clampid.evidence.space import Space
+from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate
 from clampid.fitting.wander import Level, in_time
 from clampid.stages.rows import Array, Integers, Rows
 
-__all__ = ["Drift", "blocks_of_visits", "drift_of"]
+__all__ = ["Drift", "blocks_of_visits", "drift_beside", "drift_of"]
 
 LAGS = 10
 DRIFT_FALSE_ALARMS = 0.01  # chance of a warning where visits are independent
@@ -74,8 +78,22 @@ def drift_of(estimate: Estimate, level: Level | None = None) -> Drift | None:
     """
     rows = estimate.problem.rows
     white = replace(estimate.noise, level=level).whiten(rows, estimate.residual, np.zeros((*rows.measured.shape, 0)))
+    return _drift(rows, white, white.residual)
+
+
+def drift_beside(estimate: Estimate, space: Space, s: Scored) -> Drift | None:
+    """The drift that a candidate leaves in the residual of a pose fit, by the noise of its score.
+
+    ``space``: the residual on which it was scored.
+    """
+    explained = s.directions(space.basis) @ s.amplitude
+    return _drift(estimate.problem.rows, estimate.whitened, (space.residual - explained)[: space.rows])
+
+
+def _drift(rows: Rows, white: Whitened, left: Array) -> Drift | None:
+    """The drift in whitened numbers ``(M,)`` of a table, in the order of ``white``."""
     residual = np.zeros(rows.measured.shape)
-    residual[white.entry, white.channel] = white.residual
+    residual[white.entry, white.channel] = left
     parts = [_means(rows, residual, s) for s in np.unique(rows.session)]
     parts = [p for p in parts if len(p) > 4 * LAGS]
     if not parts:

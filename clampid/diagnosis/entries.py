@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,14 +11,23 @@ from clampid.diagnosis.candidate_scores import ALIASED, CONFUSABLE, DICTIONARY_F
 from clampid.effect import WEAK_SPREAD, Effect
 from clampid.evidence.candidates import label_of
 from clampid.evidence.flips import Flips
-from clampid.evidence.score import Scored, canonical
+from clampid.evidence.score import Scored, canonical, followed
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term, beyond_limit, excludes_zero, fixed_slots, unit_of
 from clampid.stages.rows import Array, Bools
 
-__all__ = ["confusable_with", "considered_of", "entry_of", "merged", "variables_of", "with_stand_ins"]
+__all__ = [
+    "confusable_with",
+    "considered_of",
+    "entry_of",
+    "merged",
+    "variables_elsewhere",
+    "variables_of",
+    "with_stand_ins",
+]
 
 LISTED = 12
+NEARLY = 0.8  # of the evidence of the best probe: others with as much are named beside it
 
 
 def entry_of(
@@ -180,12 +189,23 @@ def with_stand_ins(considered: list[dict[str, Any]], scores: CandidateScores) ->
 
 def variables_of(scores: CandidateScores) -> list[str]:
     """The variables of the best probe, and of others at the same place that fire nearly as strongly."""
-    if scores.probe is None:
+    return _variables(scores, lambda best, s: s.candidate.places == best.candidate.places)
+
+
+def variables_elsewhere(scores: CandidateScores) -> list[str]:
+    """Variables by which an error of another place explains nearly as much, and the same."""
+    return _variables(scores, lambda best, s: followed(best, s) > CONFUSABLE)
+
+
+def _variables(scores: CandidateScores, belongs: Callable[[Scored, Scored], bool]) -> list[str]:
+    """The variables of the best probe, and of others that fire nearly as strongly, if they belong to it."""
+    best = scores.probe
+    if best is None:
         return []
-    names = dict.fromkeys(scores.probe.candidate.depends_on)
+    names = dict.fromkeys(best.candidate.depends_on)
     for s in sorted(scores.free, key=lambda s: -s.bic):
-        close = s.bic > 0.8 * scores.probe.bic and s.candidate.places == scores.probe.candidate.places
-        if close and scores.free_null.p_familywise(s.log_p) <= DICTIONARY_FALSE_ALARMS:
+        close = s.bic > NEARLY * best.bic and scores.free_null.p_familywise(s.log_p) <= DICTIONARY_FALSE_ALARMS
+        if close and belongs(best, s):
             names |= dict.fromkeys(s.candidate.depends_on)
     return list(names)
 

@@ -6,7 +6,7 @@ names its place and the variables on which it depends: one recorded variable, or
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations, combinations_with_replacement
 
@@ -27,7 +27,8 @@ __all__ = ["JOINT_ANGLE_PERIODIC", "probes"]
 Covariate = tuple[str, tuple[str, ...], Array]  # what it is, the variables, (N, k)
 HARMONICS = 3
 OTHERS = 6  # of another joint's revolution, in a motor's torque: rollers, teeth and cables come several times a turn
-SWINGS = 8  # of an instrument's readings over the campaign: air conditioning, doors
+SWINGS = 8  # turns of an instrument's readings over the campaign: air conditioning, doors
+STEP_OF_TURNS = 0.25  # between the periods of single swings: at most a fiftieth of a swing is missed
 RANGES = 6  # of a motor's speed
 PERIODIC = 40  # harmonics of a joint's revolution: 32 or fewer leave much of a ragged curve
 SURFACE = 2  # harmonics of each of two angles, on which the error of a joint or motor depends
@@ -57,6 +58,11 @@ def _probe(estimate: Estimate, place: str, what: str, variables: Sequence[str], 
 
 def _harmonics(angle: Array, orders: int) -> Array:
     return np.column_stack([f(k * angle) for k in range(1, orders + 1) for f in (np.sin, np.cos)])
+
+
+def _swing(share: Array, turns: Iterable[float]) -> Array:
+    """Sine and cosine of each number of turns over the campaign, of which ``share`` ``(N,)`` is over."""
+    return np.column_stack([f(2.0 * np.pi * share * number) for number in turns for f in (np.sin, np.cos)])
 
 
 def _scaled(x: Array) -> Array:
@@ -111,8 +117,10 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
         both = tuple(dict.fromkeys((a, b)))
         readings.append((f"position along {a} times {b}", both, (place[:, i] * place[:, k])[:, None]))
     share = s["elapsed"] / max(float(np.ptp(s["elapsed"])), 1e-300)
-    swings = np.column_stack([slow, _harmonics(2.0 * np.pi * share, SWINGS)])
-    for what, variables, reading in (*readings, *around, ("swing in time", ("time",), swings)):
+    readings += [*around, ("swing in time", ("time",), np.column_stack([slow, _swing(share, range(1, SWINGS + 1))]))]
+    for turns in np.arange(1.0, SWINGS + STEP_OF_TURNS, STEP_OF_TURNS):
+        readings.append((f"swing of {turns:g} turns in time", ("time",), _swing(share, (turns,))))
+    for what, variables, reading in readings:
         count = reading.shape[1]
         columns = np.zeros((len(rows), width, 3 * count))
         for axis in range(3):

@@ -10,11 +10,12 @@ import numpy as np
 
 from clampid.diagnosis.candidate_scores import CandidateScores
 from clampid.diagnosis.confirmed import Confirmed
-from clampid.diagnosis.drift import drift_of
+from clampid.diagnosis.drift import drift_beside, drift_of
 from clampid.diagnosis.entries import (
     considered_of,
     entry_of,
     merged,
+    variables_elsewhere,
     variables_of,
     with_stand_ins,
 )
@@ -41,6 +42,7 @@ from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
 from clampid.stages.rows import Rows
 from clampid.stages.stage_kind import kind_of
+from clampid.stages.temperatures import reads_temperatures
 
 __all__ = ["diagnose_stage"]
 
@@ -65,13 +67,18 @@ def diagnose_stage(fitted: FittedStage, bench: Bench, propose: Propose | None = 
     as_slow: list[str] = []  # variables that describe what is left, and perhaps only because they change as slowly
     steady = drift is None or outcome.wander is None
     beside = drift if steady else drift_of(outcome.fitted.estimate, outcome.wander)
+    left = outcome.left
+    if beside is not None and left is not None and left.scores.fires and left.scores.probe is not None:
+        beside = drift_beside(left.estimate, left.scores.space, left.scores.probe)
+    del left
     if beside is not None and beside.block > 1:  # once more, now that it is known how long what is left goes on
         as_slow = variables_of(outcome.scores) if outcome.scores.fires else []
         del outcome  # as large as its rows
         judged_by, outcome = _searched(fitted, replace(bench, block=beside.block))
     result = _verdict(fitted, judged_by, outcome, propose)
-    if drift is not None and drift.clocked and result.verdict == "unknown" and set(result.depends_on) <= {"time"}:
-        result.depends_on = list(dict.fromkeys(["time", *as_slow]))
+    slow = all(name == "time" or reads_temperatures(name) for name in result.depends_on)
+    if drift is not None and drift.clocked and result.verdict == "unknown" and slow:
+        result.depends_on = list(dict.fromkeys(["time", *result.depends_on, *as_slow]))
         result.summary = " ".join([summary_of(result), *result.warnings])
     if drift is not None:
         _warn(result, drift.sentence)
@@ -236,7 +243,8 @@ def _undecided(
 def _unknown(result: StageDiagnosis, scores: CandidateScores, estimate: Estimate, seed: int) -> None:
     """Record that no name explains the rest, with its variables and shape if a probe is significant."""
     result.verdict = "unknown"
-    result.depends_on = variables_of(scores) if scores.fires else []
+    here = variables_of(scores) if scores.fires else []
+    result.depends_on = list(dict.fromkeys([*here, *(variables_elsewhere(scores) if here else [])]))
     result.considered = with_stand_ins(result.considered, scores) + considered_of(scores.free, scores.free_null, 5)
     if scores.fires and scores.probe is not None:
-        result.shape = shape_of(estimate, scores.space, scores.probe, result.depends_on, seed)
+        result.shape = shape_of(estimate, scores.space, scores.probe, here, seed)

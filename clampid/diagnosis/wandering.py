@@ -13,12 +13,13 @@ effect may be slow too. So readings count as wandering in two cases:
 A constant level of a motor's readings is no wandering: a level that begins anywhere explains an offset as well.
 
 In neither case if a smooth function of time is likelier still, such as an instrument's drift with the time of day. That
-is a systematic error, which may be found as a missing effect.
+is a systematic error, which may be found as a missing effect. Poses may have both: if a swing of one period is likelier
+than none beside a level that wanders, the level is what wanders beside the swing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +29,7 @@ from clampid.evidence.columns import channel_starts
 from clampid.evidence.score import Scored
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
-from clampid.fitting.wander import Level, larger, wander_of, waves_of
+from clampid.fitting.wander import Filter, Level, larger, wander_of, waves_of
 from clampid.stages.rows import POSE_CHANNELS, Array
 
 __all__ = ["WANDERS", "known_to_wander", "level_beside", "of_level", "whitened_by"]
@@ -113,9 +114,14 @@ def _seen(
     if found is None:
         return None
     evidence, beside_levels = found.gain - float(np.log(sum(map(len, residuals)))), _Beside(free, residuals)
-    times = [rows.constants.time[white.entry[own]] for own in mine.values()]
-    if evidence < max(beside_levels.evidence(columns) for columns in _smooth(times)):
+    smooth, swing = _smoothest([rows.constants.time[white.entry[own]] for own in mine.values()], beside_levels)
+    if evidence < smooth:
         return None
+    if rows.kind.points:
+        both = np.split(np.hstack([np.vstack(free), block_diag(*swing)]), ends)  # each channel swings by itself
+        apart = wander_of(waves, residuals, both, flickers=flickers)
+        if apart is not None and _stands_out(swing, free, residuals, [w.filter(apart.level) for w in waves]):
+            return apart.level
     if not estimate.problem.kind.points:
         evidence += max(_Beside(active, residuals).evidence(levels), 0.0)
     if evidence < max((_evidence_of(group, mine) for group in beside), default=0.0):
@@ -138,16 +144,34 @@ def _levels(estimate: Estimate, mine: Mapping[int, slice]) -> list[Array]:
     return [estimate.noise.shown_level(rows, channel)[:, None] for channel in mine]
 
 
-def _smooth(times: Sequence[Array]) -> Iterator[list[Array]]:
-    """Smooth functions of the time of measurement, for each channel ``(k, c)``: slow cosines, or a swing of one period.
+def _smoothest(times: Sequence[Array], beside: _Beside) -> tuple[float, list[Array]]:
+    """The evidence of the likeliest smooth function of the time of measurement, and the likeliest swing of one period.
 
-    ``times``: of each channel's numbers ``(k,)``. A period is that of all channels.
+    Smooth are slow cosines, and swings. A period is that of all channels, and the columns are ``(k, c)`` for each.
+    ``times``: of each channel's numbers ``(k,)``.
     """
     first, last = min(t.min() for t in times), max(t.max() for t in times)
     turns = [np.pi * (t - first)[:, None] / max(last - first, 1e-12) for t in times]  # of half a wave
-    yield [np.cos(turn * np.arange(1, COSINES + 1)) for turn in turns]
-    for waves in np.arange(1.0, COSINES + 0.01, PERIOD_STEP):
-        yield [np.c_[np.cos(turn * waves), np.sin(turn * waves)] for turn in turns]
+
+    def swing_of(waves: float) -> list[Array]:
+        return [np.c_[np.cos(turn * waves), np.sin(turn * waves)] for turn in turns]
+
+    found = {float(waves): beside.evidence(swing_of(waves)) for waves in np.arange(1.0, COSINES + 0.01, PERIOD_STEP)}
+    for step in (PERIOD_STEP / 2.0, PERIOD_STEP / 4.0):  # between two periods tried, a twentieth of a swing is missed
+        best = max(found, key=lambda waves: found[waves])
+        found |= {waves: beside.evidence(swing_of(waves)) for waves in (best - step, best + step)}
+    best = max(found, key=lambda waves: found[waves])
+    cosines = beside.evidence([np.cos(turn * np.arange(1, COSINES + 1)) for turn in turns])
+    return max(found[best], cosines), swing_of(best)
+
+
+def _stands_out(
+    swing: Sequence[Array], free: Sequence[Array], residuals: Sequence[Array], filters: Sequence[Filter]
+) -> bool:
+    """Whether a swing is likelier than none beside columns and a level that wanders."""
+    still = [[f(columns) for f, columns in zip(filters, part, strict=True)] for part in (free, swing)]
+    without = [f(r[:, None])[:, 0] for f, r in zip(filters, residuals, strict=True)]
+    return _Beside(still[0], without).evidence(still[1]) > 0.0
 
 
 class _Beside:

@@ -10,6 +10,7 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.diagnosis import scoring, stage
+from clampid.diagnosis.candidate_scores import standing_out_of
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.drift import blocks_of_visits, drift_of
 from clampid.diagnosis.folds import Folds
@@ -82,6 +83,38 @@ def test_a_walk_that_is_known_leaves_no_drift_and_is_sought_once(simulated, monk
     found = diagnose(identify([campaign]), campaign).stages["poses"]
     assert blocks == [1]
     assert "second run in another order" in found.warnings[0]
+
+
+def swinging(campaign: Campaign, size: float, turns: float) -> Campaign:
+    """The campaign with readings that swing along a direction of the room, so many times in all."""
+    table = campaign.tables["poses"].copy()
+    share = (table["time_s"] - table["time_s"].min()) / np.ptp(table["time_s"])
+    swing = size * np.sin(2.0 * np.pi * turns * share + 0.4).to_numpy()
+    table[["x_m", "y_m", "z_m"]] += swing[:, None] * np.array([0.6, -0.3, 0.7])
+    return replace(campaign, tables={**campaign.tables, "poses": table})
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_swing_beside_a_walk_is_no_part_of_it(simulated, seed: int):
+    """The walk was taken to be as large as both. Beside it no probe of time was significant."""
+    walks = walking(clean(simulated, seed), 0.1 * NOISE, seed)
+    both = swinging(walks, 3.0 * NOISE, 4.3)
+    fits = [on_campaign(identify([c]), c).refit("poses").estimate for c in (walks, both)]
+    alone, beside = (scores_of(estimate, catalogue(), 199, 0) for estimate in fits)
+    of_time = [{s.candidate.depends_on for s in standing_out_of(x.free, x.free_null)} for x in (alone, beside)]
+    assert ("time",) not in of_time[0]
+    assert ("time",) in of_time[1]
+    levels = [0.0 if s.wander is None else s.wander.variance for s in (alone, beside)]
+    assert levels[1] < 3.0 * max(levels[0], 0.1)
+
+
+@pytest.mark.slow
+def test_visits_alike_by_a_swing_alone_are_not_flipped_in_blocks(simulated):
+    """In blocks as long as the swing is slow, the verdict was `adequate`."""
+    campaign = swinging(clean(simulated, 1), 2.0 * NOISE, 2.6)
+    found = diagnose(identify([campaign]), campaign).stages["poses"]
+    assert found.verdict == "unknown"
+    assert "time" in found.depends_on
 
 
 def test_poses_that_are_scored_again_are_taken_to_wander_as_before(simulated, monkeypatch: pytest.MonkeyPatch):

@@ -79,6 +79,13 @@ def test_an_unknown_torque_is_not_taken_for_noise(name: str, seed: int) -> None:
         pytest.param("directed_sag", 3707, marks=pytest.mark.study),
         ("directed_sag", 3716),  # along the weight, whatever the posture: the base's shift shows it, no joint's error
         ("pose_surface", 3702),  # any smooth function of two angles
+        ("pose_surface", 4071),  # a table beyond the poses does not test how a smooth function goes on there
+        ("time_of_day", 4072),  # a link's temperature changes as slowly
+        ("time_of_day", 4068),  # the room's temperature explains it as well
+        ("time_of_day", 4100),  # beside a random walk
+        pytest.param("time_of_day", 4065, marks=pytest.mark.study),  # beside pink noise
+        ("time_of_day", 4105),  # what makes visits alike is what is missing
+        pytest.param("time_of_day", 4112, marks=pytest.mark.study),  # less than a turn in all
         ("leaning_link", 3710),  # as slow as the room's temperature, from which time is not separable
     ],
 )
