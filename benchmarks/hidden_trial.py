@@ -58,8 +58,8 @@ def clean_trial(world: World, seed: int, poses: int, stages: Sequence[str]) -> l
         verdict = diagnose(model, campaign, stages=[stage]).to_json()["stages"][stage]
         row = {"kind": "clean", "case": f"nothing/{stage}", "stage": stage, "size": 0.0, "seed": seed, **bench.setup}
         row |= told_by(verdict) | {"seconds": process_time() - start, "rows": rows_of(campaign, stage)}
-        named = {c["name"] for c in verdict["candidates"]}
-        true_of_it = verdict["verdict"] in ("missing", "ambiguous") and named <= bench.present
+        named, sets = confirmed_and_sets(verdict, bench.present)
+        true_of_it = verdict["verdict"] in ("missing", "ambiguous") and not named and not sets
         out.append(row | {"right": verdict["verdict"] == "adequate" or true_of_it})
     return out
 
@@ -98,6 +98,18 @@ def told_by(verdict: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def confirmed_and_sets(
+    verdict: Mapping[str, Any], present: frozenset[str]
+) -> tuple[list[Mapping[str, Any]], list[list[Mapping[str, Any]]]]:
+    """The confirmed names and the sets of alternatives, without those that are true of the robot in any case."""
+    confirmed = [c for c in verdict["candidates"] if not c["alternative"] and c["name"] not in present]
+    by_group: dict[int, list[Mapping[str, Any]]] = {}
+    for c in verdict["candidates"]:
+        if c["alternative"]:
+            by_group.setdefault(c["group"], []).append(c)
+    return confirmed, [one for one in by_group.values() if not any(c["name"] in present for c in one)]
+
+
 def judged(
     verdict: Mapping[str, Any], truth: Sequence[Mapping[str, str]], present: frozenset[str] = frozenset()
 ) -> dict[str, Any]:
@@ -108,12 +120,7 @@ def judged(
     of effects that the robot has without being asked (`present`) are true, and no answer to what was hidden: they, and
     sets with one of them, do not count.
     """
-    confirmed = [c for c in verdict["candidates"] if not c["alternative"] and c["name"] not in present]
-    by_group: dict[int, list[Mapping[str, Any]]] = {}
-    for c in verdict["candidates"]:
-        if c["alternative"]:
-            by_group.setdefault(c["group"], []).append(c)
-    sets = [one for one in by_group.values() if not any(c["name"] in present for c in one)]
+    confirmed, sets = confirmed_and_sets(verdict, present)
     small = [one for one in sets if len(one) <= MOST_ALTERNATIVES]
     candidates = [*confirmed, *(c for one in sets for c in one)]
 
