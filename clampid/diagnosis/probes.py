@@ -6,7 +6,7 @@ names its place and the variables on which it depends: one recorded variable, or
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations, combinations_with_replacement
 
@@ -60,11 +60,6 @@ def _harmonics(angle: Array, orders: int) -> Array:
     return np.column_stack([f(k * angle) for k in range(1, orders + 1) for f in (np.sin, np.cos)])
 
 
-def _swing(share: Array, turns: Iterable[float]) -> Array:
-    """Sine and cosine of each number of turns over the campaign, of which ``share`` ``(N,)`` is over."""
-    return np.column_stack([f(2.0 * np.pi * share * number) for number in turns for f in (np.sin, np.cos)])
-
-
 def _scaled(x: Array) -> Array:
     """A covariate less its mean, over its spread; zeros if it does not vary."""
     spread = float(np.std(x))
@@ -116,10 +111,10 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     for (i, a), (k, b) in combinations_with_replacement(enumerate("xyz"), 2):
         both = tuple(dict.fromkeys((a, b)))
         readings.append((f"position along {a} times {b}", both, (place[:, i] * place[:, k])[:, None]))
-    share = s["elapsed"] / max(float(np.ptp(s["elapsed"])), 1e-300)
-    readings += [*around, ("swing in time", ("time",), np.column_stack([slow, _swing(share, range(1, SWINGS + 1))]))]
+    turn = 2.0 * np.pi * (s["elapsed"] / max(float(np.ptp(s["elapsed"])), 1e-300))  # one over the campaign
+    readings += [*around, ("swing in time", ("time",), np.column_stack([slow, _harmonics(turn, SWINGS)]))]
     for turns in np.arange(1.0, SWINGS + STEP_OF_TURNS, STEP_OF_TURNS):
-        readings.append((f"swing of {turns:g} turns in time", ("time",), _swing(share, (turns,))))
+        readings.append((f"swing of {turns:g} turns in time", ("time",), _harmonics(turns * turn, 1)))
     for what, variables, reading in readings:
         count = reading.shape[1]
         columns = np.zeros((len(rows), width, 3 * count))
