@@ -50,7 +50,9 @@ VARIANCES = tuple(float(10.0**k) for k in np.arange(-4.0, 4.1, 0.5))
 SEEN_BY_A_WALK = 0.75
 FILTERED_AT_ONCE = 256  # columns from which a level is taken together: copies of a long table would be large
 MOST_WAVES = 200  # of a channel; faster ones have less of the level than of white noise
-ANYWHERE = 6.0  # variance of the level's mean over that about the mean: as after a random walk of the same length
+# Variance of the level's mean, over that about its mean. Of a walk: as after another walk of the same length. Flicker
+# noise has the same variance in each octave: as if it had as many octaves below the session's length as above it.
+OF_MEAN = {FLICKER: 1.0, RANDOM_WALK: 8.0}
 TAKES_NOTHING = 1e-4  # variance of a direction of the level, over that of a number, below which it is left out
 INDEPENDENT = 1e-8  # of a column's length: with a smaller part outside the other columns it is linearly dependent
 
@@ -86,7 +88,8 @@ class Level:
         """
         falls = np.maximum(order, 1.0) ** -self.power
         whole = np.sum(np.arange(1.0, max(order.max(initial=1.0), 1.0) + 1.0) ** -self.power)
-        return np.asarray(self.variance * np.where(order > 0.0, share ** (self.power - 1) * falls / whole, ANYWHERE))
+        about = share ** (self.power - 1) * falls / whole
+        return np.asarray(self.variance * np.where(order > 0.0, about, OF_MEAN[self.power]))
 
 
 def larger(*levels: Level | None) -> Level | None:

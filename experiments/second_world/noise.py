@@ -116,7 +116,7 @@ def draw_noise(noise: Noise, std: Array, group: Array, rng: np.random.Generator)
     return np.asarray(std * x)
 
 
-def covariance(noise: Noise, group: Array) -> Array:
+def covariance(noise: Noise, group: Array, *, earlier: bool = False) -> Array:
     """
     Give the covariance of one column of what `draw_noise` draws.
 
@@ -127,6 +127,10 @@ def covariance(noise: Noise, group: Array) -> Array:
         freedom, that of 0.7 of the variance.
     group
         Which rows (R,) share the slow part, as of `draw_noise`.
+    earlier
+        Whether the slow part may have begun before the table, so that its level is unknown: a walk as long ago as the
+        table lasts, 1/f noise as many octaves below the table's length as the table has. Both are drawn from about
+        zero.
 
     Returns
     -------
@@ -146,6 +150,8 @@ def covariance(noise: Noise, group: Array) -> Array:
         slow = slow / (product[0] - slow.mean())  # about its mean it has a variance of 1
     else:
         slow = np.minimum.outer(place + 1.0, place + 1.0) / (len(place) / 2)
+    if earlier:
+        slow = slow + (1.0 if noise.kind == "pink" else 2.0)
     return np.asarray((1.0 - _SLOW) * own + _SLOW * slow[np.ix_(which, which)])
 
 

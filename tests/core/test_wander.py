@@ -85,6 +85,24 @@ def test_the_variance_of_a_level_is_that_about_its_mean(power: int) -> None:
     assert np.trace(level) / COUNT == pytest.approx(0.7)
 
 
+@pytest.mark.parametrize(("power", "sessions"), [(FLICKER, 200), (RANDOM_WALK, 2)])
+def test_the_mean_of_a_level_varies_as_after_a_history(power: int, sessions: int) -> None:
+    """A walk: after one of the same length. Flicker noise: in as many sessions as one has waves."""
+    rng, count, ratio = np.random.default_rng(10), 200, []
+    for _ in range(400 if power == RANDOM_WALK else 20):
+        steps = rng.standard_normal(sessions * count)
+        if power == RANDOM_WALK:
+            parts = np.cumsum(steps).reshape(sessions, count)[1:]
+        else:
+            frequency = np.fft.rfftfreq(len(steps))
+            frequency[0] = np.inf
+            parts = np.fft.irfft(np.fft.rfft(steps) / np.sqrt(frequency)).reshape(sessions, count)
+        ratio.append((np.mean(parts.mean(axis=1) ** 2), np.mean(parts.var(axis=1))))
+    of_mean, about = np.mean(ratio, axis=0)
+    variance = Level(0.7, power).of_waves(waves(count).order, waves(count).share)
+    assert variance[0] / 0.7 == pytest.approx(of_mean / about, rel=0.2)
+
+
 def test_a_level_that_starts_anywhere_leaves_nothing_of_an_offset_at_any_stop() -> None:
     """The filter lets through 1 of a level just after a stop, 1.6 of it later; as a jump it looked like an offset."""
     count, stops = 600, np.arange(600) % 60 < 12
