@@ -15,7 +15,7 @@ Stage = str
 
 PRESLIDING_LENGTHS: tuple[float, ...] = (2.15e-4, 4.64e-4, 1e-3, 2.15e-3, 4.64e-3, 1e-2, 2.15e-2, 4.64e-2)
 """Presliding lengths at the motor, rad, at which the states of dry friction are at hand (signal ``dry_state``)."""
-RELAXATION_TIMES: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0)
+RELAXATION_TIMES: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 """Times in which these states relax at rest, s; every length goes with every time, times running faster."""
 
 

@@ -29,6 +29,7 @@ from clampid.models.model import Model
 from clampid.progress import in_parts
 from clampid.shown import Shown
 from clampid.slots import Slot, Term
+from clampid.stages.counting import explained
 from clampid.stages.stage_kind import acts_with, kind_of, kinds, known_of, only_of
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
@@ -183,10 +184,20 @@ def _one(
         key = (tuple(terms), tuple(known.items()), float(last.estimate.noise.sigma.sum()))
         found = done.get(key)
         if found is None:
-            found = fit_stage(rows, opened.effects, terms, others, known, held_out, last=last.estimate)
+            found = fit_stage(last.rows, opened.effects, terms, others, known, held_out, last=last.estimate)
             if kind_of(stage).points and len(found.estimate.theta) <= LARGEST_KEPT_FIT:
                 done[key] = found
         return found
+
+    that_count = {explained(opened.active(stage)): fitted.rows}
+
+    def on_its_rows(last: FittedStage) -> FittedStage:
+        model = replace(opened, stages={**opened.stages, stage: last.model})
+        wanted = explained(model.active(stage))
+        if wanted not in that_count:
+            that_count[wanted] = model.rows(stage)
+        wider = replace(last, rows=that_count[wanted])
+        return last if wider.rows is last.rows else refit(last.model.terms, wider, {})
 
     verification = opened.verification(fitted.base_reference) if kind_of(stage).points else None
     if opened.stages[stage].carried_prior is None:  # else the model knows more than these rows
@@ -211,6 +222,7 @@ def _one(
         seed=seed,
         flips=flips,
         called_for=_called_for(opened, stage),
+        on_its_rows=on_its_rows if kind_of(stage).moving else lambda last: last,
         elsewhere=frozenset(s for s in opened.stages if s != stage and opened.has(kind_of(s).tables)),
     )
     found = diagnose_stage(fitted, bench, asked)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from clampid.diagnosis.candidate_scores import CandidateScores
@@ -30,7 +30,7 @@ class Searched:
     Attributes
     ----------
     before
-        Held-out errors of the first fit.
+        Held-out errors of the first fit, on the rows that count in the last one.
     first_look
         Scores on the residual of the first fit.
     steps
@@ -82,7 +82,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     and the search goes on; otherwise their residual would hide other effects. In poses none is added: models that agree
     on these poses give other flange positions elsewhere.
     """
-    rows, effects = fitted.estimate.problem.rows, bench.effects
+    first, rows, effects = fitted, fitted.estimate.problem.rows, bench.effects
     if bench.folds is None and not runs_determine_each_other(fitted.estimate, bench.seed):
         return Folds(*parts_of_runs(rows), because=())
     scores = bench.scores(fitted, 0)
@@ -124,6 +124,10 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
                 break
             steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held_out, tuple(refused))], dropped)
             fitted, held_out = steps[-1].tried.fitted, steps[-1].tried.held_out
+        wider = bench.on_its_rows(fitted)  # motors at rest count with a friction that has a state
+        if wider is not fitted:
+            fitted, held_out = wider, bench.held_out(wider)
+            before = bench.held_out(bench.refit(first.model.terms, replace(first, rows=wider.rows), {}))
         scores = scores.remembered  # the whole is as large as its rows, and the next is about to be made
         scores = bench.scores(fitted, 2 * number)
     if not undecided:  # else these scores are from before, and `given.wander` is that beside the undecided groups

@@ -33,7 +33,7 @@ from clampid.diagnosis.testability import testability_of
 from clampid.diagnosis.trial import Bench
 from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.wandering import WANDERS
-from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, summary_of
+from clampid.diagnosis.words import listed_outliers, more_rows_words, omission_of, outliers_of, summary_of
 from clampid.effect import Effect
 from clampid.evidence.candidates import label_of
 from clampid.evidence.score import Scored
@@ -114,7 +114,7 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     stage, effects, floor = fitted.estimate.problem.stage, bench.effects, bench.floor
     verification = bench.verification
     result = StageDiagnosis(stage, kind_of(stage).error_unit)
-    result.folds, first, fitted = bench.folds, fitted.estimate, outcome.fitted
+    result.folds, first, begun, fitted = bench.folds, fitted.estimate, fitted.rows, outcome.fitted
     result.noise_floor = floor.norm if kind_of(stage).points else 1.0
     held_out, scores, probe = outcome.held_out, outcome.scores, outcome.first_scores.probe
     result.before, result.after = outcome.before.rms, held_out.rms
@@ -136,6 +136,7 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     result.candidates = merged(result.candidates)
     result.agreeing, result.rows = agreeing_rows(fitted.estimate), len(first.problem.rows)
     result.omission, result.fitted, result.scores = omission_of(first, fitted.estimate), fitted, scores
+    result.warnings += more_rows_words(begun, fitted.rows)
     _in_words(result, scores, floor.source, first.problem.rows, effects, few)
     return result
 

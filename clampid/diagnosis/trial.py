@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -76,6 +76,8 @@ class Bench:
         By how much readings are known to wander at least; None if they are not.
     seen
         Terms and granted candidates → how the readings wander beside that fit: poses may be searched twice.
+    on_its_rows
+        The fit of all rows that count for the effects of a fit; the same fit, if it has these rows.
     """
 
     effects: dict[str, Effect]
@@ -90,6 +92,7 @@ class Bench:
     elsewhere: frozenset[Stage] = frozenset()
     wander: Level | None = None
     seen: dict[tuple[object, ...], Wandering | None] = field(default_factory=dict)
+    on_its_rows: Callable[[FittedStage], FittedStage] = lambda fitted: fitted
 
     @substep("scoring the candidates", ROUND_SHARE)
     def scores(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> CandidateScores:

@@ -14,7 +14,7 @@ from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, unit_of
 from clampid.stages.rows import Array, Bools, Rows, lengths
 
-__all__ = ["listed_outliers", "omission_of", "outliers_of", "summary_of"]
+__all__ = ["listed_outliers", "more_rows_words", "omission_of", "outliers_of", "summary_of"]
 
 
 FEW_OUTLIERS = 3  # each table of a clean campaign has one with a chance of 1 %, and this many once in a million
@@ -57,6 +57,17 @@ def omission_of(before: Estimate, after: Estimate) -> list[dict[str, Any]]:
                 }
             )
     return sorted(out, key=lambda o: -abs(float(o["shift"])) / float(o["std"]))[:10]
+
+
+def more_rows_words(before: Rows, after: Rows) -> list[str]:
+    """Statement that more torques count than at first, since a friction was found that knows motors at rest."""
+    more = int(after.used.sum() - before.used.sum())
+    if before is after or more <= 0:
+        return []
+    return [
+        f"With the friction found, {count_text(more)} more torques count, of motors at rest or turning back; the "
+        "held-out error without it is that of these torques, too."
+    ]
 
 
 def summary_of(result: StageDiagnosis) -> str:

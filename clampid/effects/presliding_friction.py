@@ -51,7 +51,7 @@ EFFECT = Effect(
         Parameter(
             "t",
             "s",
-            1.0,
+            10.0,
             "joint",
             (RELAXATION_TIMES[0], RELAXATION_TIMES[-1]),
             "time in which the state relaxes at rest",

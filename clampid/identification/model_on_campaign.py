@@ -68,16 +68,14 @@ class ModelOnCampaign:
         """Whether any campaign has any of these tables."""
         return any(table in c.tables for c in self.campaigns for table in tables)
 
+    def active(self, stage: Stage) -> tuple[Effect, ...]:
+        """The active effects of a stage."""
+        return effects_in(self.stages[stage].terms, self.effects)
+
     def rows(self, stage: Stage) -> Rows:
         """The rows of a stage, for its active effects."""
-        terms = self.stages[stage].terms
         return stage_rows(
-            self.campaigns,
-            self.layout,
-            stage,
-            self.base,
-            active=effects_in(terms, self.effects),
-            anchors=self.anchors,
+            self.campaigns, self.layout, stage, self.base, active=self.active(stage), anchors=self.anchors
         )
 
     def verification(self, base: Mapping[int, Array] | None = None) -> Rows | None:

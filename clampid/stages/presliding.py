@@ -8,35 +8,79 @@ the relaxation is the creep of the contacts at rest.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from clampid.effect import PRESLIDING_LENGTHS, RELAXATION_TIMES
 from clampid.stages.rows import Array, Bools, Integers
 
-__all__ = ["dry_states", "friction_states", "recurrence"]
+__all__ = ["dry_states", "friction_states", "recurrence", "with_play"]
+
+BELOW = 0.75  # the quantile of differences that is taken
+AT_REST, ANYWHERE = 2, 4  # orders of the differences at rest, and of those in motion
+NORMAL_DIFFERENCE = {AT_REST: 2.817, ANYWHERE: 9.624}
+"""Order of differences to their quantile for independent normal numbers, in standard deviations of these."""
 
 
-def friction_states(signals: Mapping[str, Array], time: Array, run: Integers, logged: bool) -> Array:
+def friction_states(position: Array, resting: Bools, time: Array, run: Integers) -> Array:
     """Return the states of dry friction ``(N, n, S x K)`` of a log.
+
+    Recorded positions jitter, which would wear the states down at rest. Positions smoothed over a window swing beyond
+    the end of a quick move, as if the motor had turned back. So the recorded positions are followed with a play that
+    is as wide as they jitter.
 
     Parameters
     ----------
-    signals
-        ``motor`` ``(N, n)``, rad, and ``motor_speed``, rad/s.
+    position
+        Motor positions ``(N, n)``, rad, as recorded.
+    resting
+        ``(N, n)``: whether the motor is at rest.
     time, run
         ``(N,)``, s and number of the run.
-    logged
-        Whether the log has speeds of its own. Such a log may be too sparse to integrate them; speeds taken over a
-        window do not have the jitter of an encoder's counts, which would wear the state down.
     """
-    if logged:
-        turned = np.diff(signals["motor"], axis=0, prepend=signals["motor"][:1])
-    else:
-        speed, steps = signals["motor_speed"], np.diff(time, prepend=time[:1])[:, None]
-        turned = 0.5 * (speed + np.vstack([speed[:1], speed[:-1]])) * steps
-    return dry_states(turned, time, run)
+    followed = with_play(position, _play(position, resting, run), run)
+    return dry_states(np.diff(followed, axis=0, prepend=followed[:1]), time, run)
+
+
+def _play(position: Array, resting: Bools, run: Integers) -> Array:
+    """Four standard deviations of each motor's positions ``(n,)``, rad, by differences that motion changes little.
+
+    Second differences at rest, or fourth ones anywhere: motion can only enlarge either, so the smaller one counts. In
+    rests a quantile of them covers the flicker of an encoder by a count, too.
+    """
+    found = np.full((2, position.shape[1]), np.inf)
+    for row, (order, normal) in enumerate(NORMAL_DIFFERENCE.items()):
+        if len(position) <= order:
+            continue
+        inside = run[order:] == run[:-order]
+        differences = np.abs(np.diff(position, order, axis=0))
+        for motor in range(position.shape[1]):
+            chosen = inside.copy()
+            for k in range(order + 1 if order == AT_REST else 0):
+                chosen &= resting[k : len(resting) - order + k, motor]
+            if chosen.any():
+                found[row, motor] = float(np.quantile(differences[chosen, motor], BELOW)) / normal
+    least = found.min(axis=0)
+    return np.where(np.isfinite(least), 4.0 * least, 0.0)
+
+
+def with_play(position: Array, play: Array, run: Integers) -> Array:
+    """Positions ``(N, n)`` that follow others only where these leave a play of half width ``(n,)`` about them."""
+    low, high = position - play, position + play
+    first = np.r_[True, run[1:] != run[:-1]]
+    low[first] = high[first] = position[first]
+    # y[i] = clip(y[i - 1], low[i], high[i]); what several of these do to y is one such clip.
+    count, block = len(position), max(int(np.sqrt(len(position))), 1)
+    blocks = -(-count // block)
+    padding = ((0, blocks * block - count), (0, 0))
+    low, high = (np.pad(x, padding, mode="edge").reshape(blocks, block, -1) for x in (low, high))
+    for i in range(1, block):
+        at = low[:, i].copy(), high[:, i].copy()
+        low[:, i], high[:, i] = np.clip(low[:, i - 1], *at), np.clip(high[:, i - 1], *at)
+    y = np.empty_like(low)
+    y[0] = low[0]
+    for b in range(1, blocks):
+        y[b] = np.clip(y[b - 1, -1], low[b], high[b])
+    return np.asarray(y.reshape(-1, position.shape[1])[:count])
 
 
 def dry_states(turned: Array, time: Array, run: Integers) -> Array:

@@ -141,7 +141,9 @@ def torque_rows(
     motion = _motion_of(parts, facts)
     signals = motion_signals(motion, T, facts, run, time) | temperatures(joined, n)
     used = counting(signals, T, facts, run, layout.wrist, accelerating, resting) & motion.resolved[:, None]
-    signals["dry_state"] = friction_states(signals, time, run, facts.motions.logged)
+    signals["dry_state"] = friction_states(
+        signals["motor"], np.abs(signals["motor_speed"]) <= facts.rest_motor, time, run
+    )
     for s, campaign in enumerate(campaigns):
         chosen = session == s
         if not np.any(chosen):

@@ -19,7 +19,7 @@ from clampid.loop.add import add
 from clampid.slots import Term
 from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
-from clampid.stages.presliding import dry_states, recurrence
+from clampid.stages.presliding import dry_states, friction_states, recurrence, with_play
 from experiments.campaign import Campaign
 
 STATES = [(s, t) for s in PRESLIDING_LENGTHS for t in RELAXATION_TIMES]
@@ -75,6 +75,43 @@ def test_recurrence_in_blocks_is_the_recurrence(count: int, seed: int):
     for i in range(count):
         expected[i] = now = decay[i] * now + gain[i]
     np.testing.assert_allclose(recurrence(decay, gain), expected, rtol=1e-12, atol=1e-12)
+
+
+@settings(max_examples=40, deadline=None)
+@given(count=st.integers(1, 200), seed=st.integers(0, 2**32 - 1))
+def test_a_play_follows_only_what_leaves_it(count: int, seed: int):
+    rng = np.random.default_rng(seed)
+    x, run, play = (
+        np.cumsum(rng.normal(size=(count, 2)), axis=0),
+        np.sort(rng.integers(0, 3, count)),
+        np.array([0.0, 0.8]),
+    )
+    expected = x.copy()
+    for i in range(1, count):
+        if run[i] == run[i - 1]:
+            expected[i] = np.clip(expected[i - 1], x[i] - play, x[i] + play)
+    np.testing.assert_array_equal(with_play(x, play, run), expected)
+
+
+@pytest.mark.parametrize("jitter", ["none", "noise", "count"])
+def test_jitter_of_the_positions_does_not_wear_the_friction_down_at_rest(jitter: str):
+    """A move of 0.1 rad, and then ten seconds of rest at 250 Hz."""
+    rng, time = np.random.default_rng(1), 0.004 * np.arange(2750)
+    angle, still = np.minimum(0.4 * np.maximum(time - 0.5, 0.0), 0.1), (time > 0.8) | (time < 0.45)
+    shown = angle.copy()
+    if jitter == "noise":
+        shown += 1e-5 * rng.normal(size=len(time))
+    elif jitter == "count":
+        shown = 1e-5 * np.round((angle + 2e-6 * rng.normal(size=len(time)) + 4e-6) / 1e-5)
+    run, shape = np.zeros(len(time), dtype=np.int64), (len(time), 1)
+    found = friction_states(shown.reshape(shape), still.reshape(shape), time, run)[:, 0]
+    true = dry_states(np.diff(angle, prepend=0.0).reshape(shape), time, run)[:, 0]
+    after = time > 0.8
+    once = 0.0 if jitter == "none" else 1e-5 / PRESLIDING_LENGTHS[0]  # by the jitter, when the motion ends
+    assert np.abs(found - true)[after].max() < 2.0 * once + 1e-9
+    if jitter != "none":  # without a play little is left of the states of short lengths
+        worn = dry_states(np.diff(shown, prepend=0.0).reshape(shape), time, run)[:, 0]
+        assert np.abs(worn - true)[after].max() > 0.5
 
 
 def test_friction_state_of_a_run_ignores_other_runs():

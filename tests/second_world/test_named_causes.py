@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hidden_trial import hidden_trial
+from hidden_trial import clean_trial, hidden_trial
 from hidden_worlds import WORLDS
 
 SECOND = WORLDS["second"]
@@ -81,3 +81,12 @@ def test_a_missing_clearance_is_named_though_no_friction_selects_its_flanks_yet(
     found = hidden_trial(SECOND, case, OF_ITS_SIZE, seed, 200, best=False)
     assert found["verdict"] == "missing"
     assert [(c["name"], c["where"]) for c in found["candidates"]] == [("backlash", [found["truth"][0]["where"]])]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [5217, pytest.param(5062, marks=pytest.mark.study)])
+def test_friction_that_is_held_at_rest_is_no_stribeck_curve(seed: int):
+    """The robot's dry friction builds up over 0.4 mrad and does not relax. Rows at rest count once that is named."""
+    [found] = clean_trial(SECOND, seed, 200, ["free_air"])
+    assert [c["name"] for c in found["candidates"]] == ["presliding_friction"]
+    assert found["after"] < found["before"]
