@@ -13,7 +13,7 @@ from clampid.identification.identify import identify, standard_effects
 from clampid.loop.auto import auto
 from clampid.stages import motion_choice
 from clampid.stages.log_facts import WINDOW_S, LogFacts, facts_of, log_parts
-from clampid.stages.motion_choice import BLOCKS, Way
+from clampid.stages.motion_choice import BLOCKS, Regression, Way
 from experiments.campaign import Campaign, read_campaign
 from experiments.log_windows import windows
 from experiments.second_world import draw_robot, measure
@@ -152,3 +152,13 @@ def test_columns_of_a_single_fold_are_not_rounding_errors() -> None:
     left = motion_choice._squares(both, block, every, every)
     assert np.all(np.isfinite(left))
     assert np.all(left < 3.0)
+
+
+def test_rows_that_are_resolved_about_as_well_count_together() -> None:
+    """A twentieth of the rows, of one move, has a misfit a tenth smaller than most others."""
+    found = object.__new__(Regression)
+    misfit = np.r_[np.full(50, 1.0e-4), np.linspace(1.1e-4, 1.2e-4, 750), np.geomspace(1e-3, 1e-1, 200)]
+    found.__dict__["unresolved"], found._moving = misfit, np.ones((len(misfit), 2), dtype=bool)
+    assert found.limits()[0] == pytest.approx(1.2e-4, rel=0.01)
+    found.__dict__["unresolved"] = np.geomspace(1e-4, 1e-1, 1000)
+    assert np.all(np.diff(np.log(found.limits())) > np.log(2.0) - 1e-9)

@@ -33,6 +33,9 @@ OF_ITS_SIZE = 0.8  # of the noise
         ("torque_offset/free_air", 4012),  # beside a tilted axis, which a smooth function of two angles had shown
         ("ambient_torque/free_air", 4015),  # as slow as the room's temperature, it was learned as noise
         ("stribeck_friction/free_air", 4016),  # where joints begin to move: half of the log, and it did not count
+        ("stribeck_friction/free_air", 4077),  # one move is resolved a tenth better than the others
+        pytest.param("dress_pack/free_air", 4077, marks=pytest.mark.study),
+        pytest.param("asymmetric_friction/free_air", 4060, marks=pytest.mark.study),  # a constant beside flicker noise
         ("bearing_tilt/poses", 3706),  # the next joint's bearing fits better, with a spring of negative stiffness
         ("damaged_tooth/poses", 3700),  # beside readings that wander: a number shows the rows before it as well
         ("damaged_tooth/poses", 4063),  # in seven visits, which one of many names needs to show by far more
