@@ -49,7 +49,7 @@ UNITS: frozenset[str] = frozenset(
     {
         "", "m", "rad", "kg", "kg m", "kg m^2", "s", "K", "1/K", "Nm", "Nm s/rad", "Nm s^2/rad^2", "Nm/rad", "Nm/K",
         "rad/Nm", "rad/Nm^3", "rad/s", "m/Nm", "m/N", "m/s", "N/m", "rad/m", "1/(N m^2)", "rad/K",
-        "1/m", "m/rad", "N", "m/N^3", "N s/m", "N s^2/m^2", "N/K", "m/K",
+        "1/m", "1/s", "m/rad", "N", "m/N^3", "N s/m", "N s^2/m^2", "N/K", "m/K",
     }
 )  # fmt: skip
 

@@ -77,7 +77,7 @@ class Bench:
     seen
         Terms and granted candidates → how the readings wander beside that fit: poses may be searched twice.
     on_its_rows
-        The fit of all rows that count for the effects of a fit; the same fit, if it has these rows.
+        A fit of all rows that count for the effects of another; that one itself, if it has these rows.
     """
 
     effects: dict[str, Effect]

@@ -47,7 +47,6 @@ CLEAR_DIFFERENCE = 2.0  # standard errors of the paired difference
 SHARES_OF_ROWS = (0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)  # of the rows in motion, which may count alone
 ROWS_WEIGHED = 100  # of the log, about, for the inertia about the joints
 NEGLIGIBLE = 0.5  # of the noise
-ALIKE = 2.0  # ratio of misfits that may be equal
 RESOLVED = 1e-4  # of the accelerations: a misfit below is none
 NEGLIGIBLE_COLUMN = 1e-9  # of the largest column, or joint's acceleration: what is less is rounding
 RIDGE = 1e-6  # of the balanced normal matrix: what the motion does not show is not fitted
@@ -247,23 +246,16 @@ class Regression:
         return np.asarray(np.max(self._misfit[:, moves] / self.top[moves], axis=1, initial=0.0))
 
     def limits(self) -> list[float]:
-        """Values of :attr:`unresolved` that leave given shares of the rows in motion, ascending.
+        """Values of :attr:`unresolved` that leave given shares of the rows in motion, ascending; one in each octave.
 
-        A misfit is known from few samples. So of values within a factor :data:`ALIKE` only the largest is one: else the
-        rows of a single move may be the best resolved ones, which a regression of that move alone predicts best.
+        A misfit is known from few samples. With finer steps the rows of a single move may be the best resolved ones,
+        which a regression of that move alone predicts best.
         """
         unresolved = self.unresolved[self._moving.any(axis=1)]
-        if not len(unresolved):
-            return []
-        shares = np.maximum(np.quantile(unresolved, SHARES_OF_ROWS, method="lower"), RESOLVED)
-        out, least = list[float](), 0.0
-        for v in sorted({float(v) for v in shares if np.isfinite(v)}):
-            if v > ALIKE * least:
-                out.append(v)
-                least = v
-            else:
-                out[-1] = v
-        return out
+        shares = np.quantile(unresolved, SHARES_OF_ROWS, method="lower") if len(unresolved) else np.zeros(0)
+        shares = np.maximum(shares[np.isfinite(shares)], RESOLVED)
+        octave = np.floor(np.log2(shares / np.min(shares, initial=np.inf)))
+        return [float(shares[octave == k].max()) for k in np.unique(octave)]
 
     def inertia(self) -> Array:
         """Torque of each motor per acceleration of each joint ``(n, n)``, kg m², as described; rms over some rows."""

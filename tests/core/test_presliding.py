@@ -138,7 +138,7 @@ def test_friction_that_creeps_at_rest_is_learned(simulated: Callable[..., Campai
     assert excess[1] < 0.2 * excess[0]
     values = {s.parameter: v for s, v in fitted.model.values().items() if s.effect == "presliding_friction"}
     assert values["c"] == pytest.approx(1.0, abs=0.2)
-    assert 0.4 < values["t"] < 4.0  # contacts that creep at 0.8 to 1.6 /s, the wider ones slower
+    assert 0.4 < 1.0 / values["r"] < 4.0  # contacts that creep at 0.8 to 1.6 /s, the wider ones slower
 
 
 @pytest.mark.slow
