@@ -192,6 +192,8 @@ def _one(
     that_count = {explained(opened.active(stage)): fitted.rows}
 
     def on_its_rows(last: FittedStage) -> FittedStage:
+        if not kind_of(stage).moving:
+            return last
         model = replace(opened, stages={**opened.stages, stage: last.model})
         wanted = explained(model.active(stage))
         if wanted not in that_count:
@@ -222,7 +224,7 @@ def _one(
         seed=seed,
         flips=flips,
         called_for=_called_for(opened, stage),
-        on_its_rows=on_its_rows if kind_of(stage).moving else lambda last: last,
+        on_its_rows=on_its_rows,
         elsewhere=frozenset(s for s in opened.stages if s != stage and opened.has(kind_of(s).tables)),
     )
     found = diagnose_stage(fitted, bench, asked)

@@ -128,8 +128,3 @@ class Motions:
         if self.way.smoothed:
             qd = differentiate(qd, time, run, 0, length, stale, self.step, wanted)
         return Motion(q, qd, acceleration, all_rows)
-
-    @property
-    def logged(self) -> bool:
-        """Whether the recorded speeds are used."""
-        return self.way.logged

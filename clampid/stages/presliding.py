@@ -8,7 +8,10 @@ the relaxation is the creep of the contacts at rest.
 
 from __future__ import annotations
 
+from math import comb
+
 import numpy as np
+from scipy import stats
 
 from clampid.effect import PRESLIDING_LENGTHS, RELAXATION_TIMES
 from clampid.stages.rows import Array, Bools, Integers
@@ -17,8 +20,6 @@ __all__ = ["dry_states", "friction_states", "recurrence", "with_play"]
 
 BELOW = 0.75  # the quantile of differences that is taken
 AT_REST, ANYWHERE = 2, 4  # orders of the differences at rest, and of those in motion
-NORMAL_DIFFERENCE = {AT_REST: 2.817, ANYWHERE: 9.624}
-"""Order of differences to their quantile for independent normal numbers, in standard deviations of these."""
 
 
 def friction_states(position: Array, resting: Bools, time: Array, run: Integers) -> Array:
@@ -48,9 +49,10 @@ def _play(position: Array, resting: Bools, run: Integers) -> Array:
     rests a quantile of them covers the flicker of an encoder by a count, too.
     """
     found = np.full((2, position.shape[1]), np.inf)
-    for row, (order, normal) in enumerate(NORMAL_DIFFERENCE.items()):
+    for row, order in enumerate((AT_REST, ANYWHERE)):
         if len(position) <= order:
             continue
+        normal = np.sqrt(comb(2 * order, order)) * stats.norm.isf(0.5 * (1.0 - BELOW))  # of independent numbers
         inside = run[order:] == run[:-order]
         differences = np.abs(np.diff(position, order, axis=0))
         for motor in range(position.shape[1]):
